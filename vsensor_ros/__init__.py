@@ -1,0 +1,29 @@
+"""
+Replace failed sensors by virtual ones, designed offline and run over ROS 2 topics.
+
+The names below are loaded when first used, so that the runtime on the machine never loads the
+designer.
+"""
+
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vsensor_ros.designer import design
+    from vsensor_ros.plant import load_plant, Plant
+    from vsensor_ros.virtual_sensor import Design
+
+__all__ = ['Design', 'Plant', 'design', 'load_plant']
+
+
+def __getattr__(name: str) -> Any:
+    """Load one of the public names from the room it lives in (PEP 562)."""
+    if name == 'design':
+        from vsensor_ros.designer import design
+        return design
+    if name in ('Plant', 'load_plant'):
+        from vsensor_ros import plant
+        return getattr(plant, name)
+    if name == 'Design':
+        from vsensor_ros.virtual_sensor import Design
+        return Design
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -1,0 +1,136 @@
+"""
+Whether a virtual sensor exists at all, and if not, what stands in the way.
+
+Source: method 3.1 to 3.3 (geometric test, forced closure, fixed modes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import schur
+
+from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.subspaces import (
+    conditioned_invariant,
+    image,
+    in_row_space,
+    kernel,
+    left_kernel,
+    measured_part,
+    RANK_TOLERANCE,
+    solve_left,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Existence:
+    """What the geometry says of a problem."""
+
+    forced: frozenset[int]  # nonlinear terms that any virtual sensor must be decoupled from
+    Phi: np.ndarray  # (r, n) rows of the largest observer whose error can be made to die out
+    obstruction: str | None  # one sentence, or None when a virtual sensor exists
+
+
+def examine(problem: Problem) -> Existence:
+    """Decide whether a decoupled virtual sensor with a stable linear part exists."""
+    forced, T = forced_closure(problem)
+    Phi = left_kernel(T)
+    if not in_row_space(np.vstack([Phi, problem.C0]), problem.V):
+        return Existence(forced, Phi, _disturbed(problem, forced))
+    stable_Phi, modes, states = without_hidden_unstable_modes(problem, Phi)
+    needed = np.vstack([problem.V, *(
+        g for i, g in enumerate(problem.G)
+        if i not in forced and np.any(np.abs(stable_Phi @ problem.P[:, i]) > RANK_TOLERANCE))])
+    if not in_row_space(np.vstack([stable_Phi, problem.C0]), needed):
+        return Existence(forced, stable_Phi, _undetectable(problem, modes, states))
+    return Existence(forced, stable_Phi, None)
+
+
+def forced_closure(problem: Problem) -> tuple[frozenset[int], np.ndarray]:
+    """
+    Return the nonlinear terms that must be decoupled and the subspace T* this leads to.
+
+    A term whose argument cannot be known where it acts must not act on the observer; decoupling
+    it enlarges T*, which may force further terms. Source: method 3.2.
+    """
+    forced: frozenset[int] = frozenset()
+    while True:
+        T = conditioned_invariant(problem.A, problem.C0, problem.decoupled(forced))
+        known = np.vstack([left_kernel(T), problem.C0])
+        grown = frozenset(i for i, g in enumerate(problem.G)
+                          if i in forced or not in_row_space(known, g))
+        if grown == forced:
+            return forced, T
+        forced = grown
+
+
+def without_hidden_unstable_modes(
+        problem: Problem, Phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """
+    Drop from the row space of Phi what no injection of a residual could make stable.
+
+    Returns the remaining rows, the modes dropped (complex) and the states they live in.
+    Source: method 3.3.
+    """
+    N = solve_left(np.vstack([Phi, problem.C0]), Phi @ problem.A)[:, :Phi.shape[0]]
+    hidden = unobservable(N, measured_part(Phi, problem.C0))
+    if hidden.shape[1] == 0:
+        return Phi, np.zeros(0, complex), []
+    inner = hidden.T @ N @ hidden
+    discrete = problem.plant.sample_time is not None
+    margin = 1e-8 * max(1.0, np.abs(inner).max())
+    T, Z, unstable = schur(
+        inner, output='complex',
+        sort=(lambda s: abs(s) >= 1 - margin) if discrete else (lambda s: s.real >= -margin))
+    if unstable == 0:
+        return Phi, np.zeros(0, complex), []
+    lost = hidden @ Z[:, :unstable]  # complex columns of a real subspace
+    lost = image(np.hstack([lost.real, lost.imag]))
+    keep = left_kernel(lost)
+    directions = np.linalg.lstsq(Phi, lost, rcond=None)[0]
+    weight = np.abs(directions).max(axis=1)
+    states = [s for s, w in zip(problem.plant.states, weight) if w > 1e-3 * weight.max()]
+    return keep @ Phi, np.diag(T)[:unstable], states
+
+
+def unobservable(N: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """Orthonormal columns of the largest N-invariant subspace inside ker C."""
+    N = N / max(np.linalg.norm(N, 2) if N.size else 0.0, np.finfo(float).tiny)
+    W = kernel(C)
+    while True:
+        kept = W @ kernel(N @ W - W @ (W.T @ N @ W), size=1.0)
+        if kept.shape[1] == W.shape[1]:
+            return W
+        W = kept
+
+
+def _disturbed(problem: Problem, forced: frozenset[int]) -> str:
+    """Say which unknown input or which nonlinear term blocks the way."""
+    plant, healthy = problem.plant, _listed(problem.healthy)
+    T = conditioned_invariant(problem.A, problem.C0, problem.D)
+    if not in_row_space(np.vstack([left_kernel(T), problem.C0]), problem.V):
+        culprits = [
+            name for i, name in enumerate(plant.disturbances)
+            if not in_row_space(np.vstack([left_kernel(conditioned_invariant(
+                problem.A, problem.C0, problem.D[:, [i]])), problem.C0]), problem.V)]
+        who = _listed(tuple(culprits or plant.disturbances))
+        return (f'the unknown input {who} acts on it and cannot be told apart from it by '
+                f'{healthy}')
+    terms = _listed(tuple(plant.terms[i].name for i in sorted(forced)))
+    return f'the nonlinear term {terms} acts on it, and {healthy} cannot tell its argument'
+
+
+def _undetectable(problem: Problem, modes: np.ndarray, states: list[str]) -> str:
+    kind = 'modulus' if problem.plant.sample_time is not None else 'real part'
+    size = np.abs(modes) if problem.plant.sample_time is not None else modes.real
+    return (f'{_listed(problem.healthy)} cannot see the mode of {kind} {size.max():.3g} in '
+            f'{_listed(tuple(states))}, which does not die out by itself: an initial error '
+            'would stay for ever')
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    if not names:
+        return 'no healthy sensor'
+    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
