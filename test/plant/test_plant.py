@@ -1,0 +1,142 @@
+"""Plants made of arrays."""
+
+import re
+
+import numpy as np
+import pytest
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.nonlinearity import NonlinearTerm
+from vsensor_ros.plant import Plant
+
+A = [[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -2.0]]
+B = [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
+C = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+P = [[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]]
+G = [[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [0.0, 0.0, 1.0]]
+
+
+def tank(**more):
+    return Plant.from_matrices(A, B, C, **{
+        'P': P, 'G': G, 'nonlinearities': ['w1 - sqrt(w1)'] * 3, **more})
+
+
+def test_default_names():
+    plant = Plant.from_matrices(A, B, C, [1, 0, 0])
+    assert plant.states == ('x1', 'x2', 'x3')
+    assert plant.inputs == ('u1', 'u2')
+    assert plant.sensors == ('y1', 'y2')
+    assert plant.disturbances == ('rho1',)
+    assert plant.sample_time is None
+    assert plant.terms == () and plant.P.shape == (3, 0)
+    assert np.isnan(plant.noise).all() and not plant.initial.any()
+    assert plant.units == dict.fromkeys(('x1', 'x2', 'x3', 'u1', 'u2', 'y1', 'y2', 'rho1'), '')
+
+
+def test_a_is_taken_as_it_stands():
+    plant = tank()
+    assert np.array_equal(plant.A, A)
+    assert [t.slope.tolist() for t in plant.terms] == [[0.0]] * 3
+    assert plant.terms[0].name == 'x1 - x2 - sqrt(x1 - x2)'
+
+
+def test_rate_of_change_of_the_papers_tank():
+    # equation (17) of the replacement paper, in its own matrices
+    x, u = np.array([5.0, 3.0, 1.0]), np.array([0.5, 0.2])
+    expected = [0.5 - 2 ** 0.5, 0.2 + 2 ** 0.5 - 2 ** 0.5, 2 ** 0.5 - 1.0]
+    assert np.allclose(tank().rate_of_change(x, u), expected, atol=1e-14)
+    many = np.stack([x, 2 * x, 3 * x], axis=1)
+    rates = tank().rate_of_change(many, u)
+    each = [tank().rate_of_change(column, u) for column in many.T]
+    assert np.allclose(rates.T, each, atol=1e-14)
+
+
+def test_rate_of_change_with_a_disturbance_and_terms_without_arguments():
+    plant = Plant.from_matrices([[0.0]], None, [[1.0]], [[2.0]], P=[[3.0]], G=[[]],
+                                nonlinearities=['1'])
+    assert plant.inputs == () and plant.terms[0].name == 'constant'
+    assert plant.rate_of_change([5.0], None) == [3.0]
+    assert plant.rate_of_change([5.0], [], [0.5]) == [4.0]
+    assert plant.rate_of_change(np.zeros((1, 4)), None, [0.5]).tolist() == [[4.0] * 4]
+
+
+def test_flat_columns_and_rows():
+    plant = Plant.from_matrices(A, [1, 0, 0], [0, 1, 0], [1, 0, 0], P=[0, 1, 0], G=[0, 1, 0],
+                                nonlinearities=['sign(w1)'])
+    assert plant.B.shape == plant.D.shape == plant.P.shape == (3, 1)
+    assert plant.C.shape == plant.G[0].shape == (1, 3)
+    assert plant.terms[0].name == 'sign(x2)'
+
+
+def test_arrays_are_copied_and_frozen():
+    a = np.array(A)
+    plant = Plant.from_matrices(a, B, C)
+    a[0, 0] = 9.0
+    assert plant.A[0, 0] == -1.0
+    with pytest.raises(ValueError, match='read-only'):
+        plant.A[0, 0] = 9.0
+
+
+def test_hash_depends_on_what_a_design_depends_on():
+    first = tank().hash()
+    assert re.fullmatch('[0-9a-f]{64}', first)
+    assert tank().hash() == first
+    assert tank(units={'x1': 'm'}).hash() == first
+    changed = [
+        tank(sample_time=1.0), tank(states=('a', 'b', 'c')), tank(sensors=('p', 'q')),
+        tank(nonlinearities=['w1 - sqrt(w1)'] * 2 + ['w1']), tank(initial=[1, 0, 0]),
+        tank(P=np.array(P) * (1 + 1e-15)), tank(G=-np.array(G)), tank(D=[1, 0, 0]),
+        tank(nonlinearities=[NonlinearTerm('', 'w1 - sqrt(w1)', np.ones(1))] * 3)]
+    assert len({first, *(plant.hash() for plant in changed)}) == 1 + len(changed)
+
+
+@pytest.mark.parametrize(('change', 'needle'), [
+    ({'A': [[1.0, 2.0]]}, 'A: has shape (1, 2)'),
+    ({'A': []}, 'A: '),
+    ({'A': [[1.0, 2.0], [3.0]]}, 'A: [[1.0, 2.0], [3.0]] is not a matrix'),
+    ({'A': 'text'}, "A: 'text' is not a matrix"),
+    ({'A': np.full((3, 3), np.nan)}, 'A: holds NaN or infinity'),
+    ({'A': np.eye(3) * 1j}, 'A: is complex'),
+    ({'A': 2.0}, 'A: has 0 dimensions'),
+    ({'B': [[1.0], [2.0]]}, 'B: has shape (2, 1)'),
+    ({'B': [[1.0], [np.inf], [2.0]]}, 'B: holds NaN or infinity'),
+    ({'B': [[1.0], [2.0, 3.0], []]}, 'B: '),
+    ({'C': [[1.0, 0.0]]}, 'C: has shape (1, 2)'),
+    ({'C': np.zeros((0, 3))}, 'C: has shape (0, 3)'),
+    ({'D': [1.0, 0.0]}, 'D: has shape (2, 1)'),
+    ({'P': None}, 'nonlinearities: 3 nonlinearities, 3 of G and 0 columns of P'),
+    ({'G': G[:2]}, '3 nonlinearities, 2 of G'),
+    ({'nonlinearities': ['w1', 'w1', 'w2']}, "nonlinearities[2]: unknown name 'w2'"),
+    ({'nonlinearities': ['w1', "__import__('os')", 'w1']}, 'nonlinearities[1]: the function'),
+    ({'G': [[1.0, 0.0], G[1], G[2]]}, 'G[0]: has shape (1, 2)'),
+    ({'states': ('a', 'b')}, 'states: 2 names for 3'),
+    ({'states': ('a', 'b', 'a')}, 'states: a is named twice'),
+    ({'states': ('a', 'b', '1c')}, "states: '1c' is not a name"),
+    ({'states': ('a', 'b', 'c\n')}, 'is not a name'),
+    ({'states': ('a', 'b', 3)}, 'states: 3 is not a name'),
+    ({'states': ('a', 'b', 'lambda')}, 'states: lambda is a word of the expression language'),
+    ({'inputs': ('sin', 'v')}, 'inputs: sin is a word'),
+    ({'inputs': ('u1', 'w1')}, 'inputs: w1 is the name of an argument'),
+    ({'inputs': ('u1', 'x1')}, 'inputs: x1 is also one of the states'),
+    ({'sensors': ('y', 'y')}, 'sensors: y is named twice'),
+    ({'sensors': ('u1', 'y')}, 'sensors: u1 is also one of the inputs'),
+    ({'sample_time': 0.0}, 'sample_time: 0.0 is not a positive number'),
+    ({'sample_time': float('nan')}, 'sample_time: nan'),
+    ({'sample_time': 'fast'}, "sample_time: 'fast'"),
+    ({'initial': [1.0, 2.0]}, 'initial: [1.0, 2.0] does not fit'),
+    ({'initial': [1.0, 2.0, np.nan]}, 'initial: '),
+    ({'noise': [-1.0, 1.0]}, 'noise: [-1.0, 1.0] does not fit'),
+    ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),
+])
+def test_bad_arrays_give_one_line(change, needle):
+    arguments = {'A': A, 'B': B, 'C': C, 'P': P, 'G': G,
+                 'nonlinearities': ['w1 - sqrt(w1)'] * 3, **change}
+    with pytest.raises(BadInput) as refusal:
+        Plant.from_matrices(**arguments)
+    line = str(refusal.value)
+    assert needle in line and line.isprintable()
+    assert line.startswith('Plant.from_matrices: ') and '; ' in line
+
+
+def test_a_sensor_may_be_called_as_a_state():
+    assert tank(sensors=('x2', 'x3')).sensors == ('x2', 'x3')

@@ -1,0 +1,319 @@
+"""Plant files: those that come with the package, and every way to get one wrong."""
+
+import json
+import os
+from pathlib import Path
+
+from hypothesis import given, HealthCheck, settings, strategies as st
+import numpy as np
+import pytest
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.plant import load_plant
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = json.loads((ROOT / 'test' / 'reference.json').read_text())
+
+TANK = """
+name: tank
+time: continuous
+parameters: {b: 2.0, area: {value: 4, unit: m^2}}
+states:
+  level1: {unit: m, initial: 2.0}
+  level2: {unit: m, initial: 1.0}
+inputs:
+  u1: {unit: m^3/s, operating: 0.5}
+disturbances:
+  leak: {unit: m/s}
+dynamics:
+  level1: u1/area - b*sqrt(level1 - level2)
+  level2: b*sqrt(level1 - level2) - sqrt(level2) + leak
+sensors:
+  y1: {measures: level1, noise: 1e-3}
+  y2: {measures: level1 - 2*level2, unit: m}
+"""
+
+ARRAYS = """
+name: tank
+time: {sample_time: 0.5}
+parameters: {b: 0.5}
+states: {level1: {}, level2: {}}
+inputs: {u1: {}}
+matrices:
+  A: [[1, 0], [b, 1 - b]]
+  B: [[1], [0]]
+  C: [[1, 0]]
+  P: [[-1], [b]]
+nonlinearities:
+  - {function: sqrt(w1 + u1), of: [level1 - level2]}
+sensors: {y1: {}}
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / 'plant.yaml'
+    if isinstance(text, bytes):
+        path.write_bytes(text)
+    else:
+        path.write_text(text, encoding='utf-8')
+    return path
+
+
+def test_tank_is_the_papers():
+    plant = load_plant(ROOT / 'config/three_tank/plant.yaml')
+    assert plant.A.tolist() == [[-1, 1, 0], [1, -2, 1], [0, 1, -2]]
+    assert plant.B.tolist() == [[1, 0], [0, 1], [0, 0]]
+    assert plant.C.tolist() == [[0, 1, 0], [0, 0, 1]]
+    assert plant.D.shape == (3, 0)
+    # the paper writes psi = -sqrt(w) + w, the file's terms are sqrt(w) - w
+    assert (-plant.P).tolist() == [[1, 0, 0], [-1, 1, 0], [0, -1, 1]]
+    assert [g.tolist() for g in plant.G] == [[[1, -1, 0]], [[0, 1, -1]], [[0, 0, 1]]]
+    assert [t.text for t in plant.terms] == ['sqrt(w1)'] * 3
+    assert [t.slope.tolist() for t in plant.terms] == [[1.0]] * 3
+    x, u = [5.0, 3.0, 1.0], [0.5, 0.2]
+    assert np.allclose(plant.rate_of_change(x, u), [0.5 - 2**0.5, 0.2, 2**0.5 - 1], atol=1e-14)
+    # the operating point is an equilibrium
+    assert np.allclose(plant.rate_of_change(plant.operating_point, plant.operating_input), 0)
+
+
+def test_tank_has_the_papers_observer():
+    # (E1) of the design of the paper, with its numbers: Phi A = N Phi + J C0
+    plant = load_plant(ROOT / 'config/three_tank/plant.yaml')
+    paper = REFERENCE['b_tank_continuous']['JCF_paper']
+    Phi, N = np.array(paper['Phi']), np.array(paper['N_closed_loop'])
+    remainder = Phi @ plant.A - N @ Phi
+    assert not remainder[:, :2].any()    # only the healthy y2 = level3 is left
+    assert np.allclose(np.abs(Phi @ plant.P), np.abs(paper['Pstar']))
+    assert np.allclose(Phi @ plant.B, paper['Bstar'])
+
+
+def test_servo_is_the_papers():
+    plant = load_plant(ROOT / 'config/servo/plant.yaml')
+    assert plant.A.tolist() == [[0, 1, 0], [0, -1, 1], [0, -1, -1]]
+    assert plant.B.tolist() == [[0], [0], [1]]
+    assert plant.D.tolist() == [[1], [0], [0]]
+    assert plant.P.tolist() == [[0], [-1], [0]]
+    assert plant.G[0].tolist() == [[0, 1, 0]]
+    assert plant.terms[0].text == 'sign(w1)' and plant.terms[0].slope.tolist() == [0.0]
+    assert plant.units['y2'] == 'rad/s'
+
+
+def test_discrete_tank_is_the_papers_corrected():
+    plant = load_plant(ROOT / 'config/three_tank_discrete/plant.yaml')
+    assert plant.sample_time == 1.0
+    assert np.allclose(plant.A, [[0.9, 0.1, 0], [0.1, 0.8, 0.1], [0, 0.1, 0.8]], atol=1e-15)
+    assert plant.B.tolist() == [[0.1, 0], [0, 0.2], [0, 0]]
+    assert plant.D.tolist() == [[1], [0], [0]]
+    x = np.array(REFERENCE['c_tank_discrete']['sim_paper']['x']['0'])
+    samples = REFERENCE['c_tank_discrete']['sim_paper']['x']
+    for t in range(50):
+        x = plant.rate_of_change(x, [1 + np.sin(t)] * 2)
+    assert np.allclose(x, samples['50'], rtol=1e-6)
+
+
+@pytest.mark.parametrize('path', sorted(ROOT.glob('config/*/plant.yaml')),
+                         ids=lambda path: path.parent.name)
+def test_every_plant_file_loads(path):
+    plant = load_plant(path)
+    assert plant.hash() == load_plant(str(path)).hash()
+    assert np.isfinite(plant.rate_of_change(plant.initial, plant.operating_input)).all()
+
+
+def test_what_is_read(tmp_path):
+    plant = load_plant(written(tmp_path, TANK))
+    assert plant.name == 'tank' and plant.sample_time is None
+    assert plant.parameters == {'b': 2.0, 'area': 4.0}
+    assert plant.initial.tolist() == [2.0, 1.0]
+    assert plant.noise[0] == 1e-3 and np.isnan(plant.noise[1])
+    assert plant.C.tolist() == [[1, 0], [1, -2]]
+    assert plant.units == {'level1': 'm', 'level2': 'm', 'u1': 'm^3/s', 'leak': 'm/s',
+                           'y1': 'm', 'y2': 'm'}
+    assert plant.operating_input.tolist() == [0.5]
+    # slopes at the initial guess: 0.5/sqrt(1) both
+    assert plant.A.tolist() == [[-1, 1], [1, -1.5]]
+
+
+def test_matrices(tmp_path):
+    plant = load_plant(written(tmp_path, ARRAYS))
+    assert plant.sample_time == 0.5
+    assert plant.A.tolist() == [[1, 0], [0.5, 0.5]]
+    assert plant.terms[0].name == 'sqrt(level1 - level2 + u1)'
+    assert plant.terms[0].slope.tolist() == [0.0]
+    moved = load_plant(written(tmp_path, ARRAYS + 'operating_point: {level1: 0.25}'))
+    assert moved.terms[0].slope.tolist() == [1.0]
+    assert moved.A.tolist() == [[0, 1], [1, 0]]
+    for x, u in (([3.0, 1.0], [0.5]), ([0.2, 0.9], [-1.0])):
+        assert np.allclose(plant.rate_of_change(x, u), moved.rate_of_change(x, u), atol=1e-14)
+
+
+def test_parameters_may_use_earlier_ones(tmp_path):
+    text = TANK.replace('{b: 2.0,', '{b: 2.0, c: sqrt(b)*3e-1, d: c/pi,')
+    assert load_plant(written(tmp_path, text)).parameters['d'] == pytest.approx(
+        2**0.5 * 0.3 / np.pi)
+
+
+CHANGES = [
+    # (old text, new text, what the line says)
+    ('name: tank', '', 'name: is missing; write name: my_plant'),
+    ('name: tank', 'name: [1]', 'name: [1] is not a name'),
+    ('time: continuous', '', 'time: is missing; write continuous or'),
+    ('time: continuous', 'time: often', "time: 'often' is not understood"),
+    ('time: continuous', 'time: {sample_time: -1}', 'time.sample_time: -1 is not positive'),
+    ('time: continuous', 'time: {period: 1}', "time: unknown key 'period'; known: sample_time"),
+    ('time: continuous', 'time: {}', 'time.sample_time: None is not an expression'),
+    ('dynamics:', 'dynamic:', "unknown key 'dynamic'; did you mean dynamics?"),
+    ('dynamics:', 'description:', 'description: '),
+    ('  level2: b*sqrt', '  level3: b*sqrt', "unknown state 'level3'; did you mean level"),
+    ('  level2: b*sqrt(level1 - level2) - sqrt(level2) + leak\n', '',
+     'dynamics.level2: is missing; write one equation a state'),
+    ('leak\nsensors', 'lake\nsensors', "dynamics.level2: unknown name 'lake'; did you mean leak?"),
+    ('u1/area', 'u1/aera', "dynamics.level1: unknown name 'aera'; did you mean area? known names: "
+     'level1, level2, u1, leak, b, area'),
+    ('u1/area', "__import__('os')", "dynamics.level1: the function '__import__' is not in the"),
+    ('u1/area', 'u1/(b - 2)', 'dynamics.level1: '),
+    ('u1/area', 'u1*exp(999)', 'dynamics.level1: '),
+    ('sqrt(level2) + leak', 'sqrt(level2 + leak)', 'the unknown input leak is inside'),
+    ('  y2:', '  y1:', "line 17: 'y1' stands there twice (first in line 16); give each name once"),
+    ('inputs:', 'states:', "'states' stands there twice"),
+    ('measures: level1,', 'measures: sqrt(level1),',
+     "sensors.y1.measures: 'sqrt(level1)' is not linear in the states"),
+    ('measures: level1,', 'measures: level1 + 1,', 'has an offset'),
+    ('measures: level1,', 'measures: b,', 'has an offset'),
+    ('measures: level1,', 'measures: 0,', '0 holds no state'),
+    ('measures: level1,', 'measures: u1,', "sensors.y1.measures: unknown name 'u1'"),
+    ('measures: level1,', '', 'sensors.y1.measures: is missing; say which state'),
+    ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
+    ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),
+    ('noise: 1e-3', 'noise: -1', 'sensors.y1.noise: -1 is negative'),
+    ('noise: 1e-3', 'noise: .nan', 'sensors.y1.noise: nan is not finite'),
+    ('noise: 1e-3', 'noise: much', "sensors.y1.noise: unknown name 'much'"),
+    ('noise: 1e-3', 'noise: [1]', 'sensors.y1.noise: [1] is not an expression'),
+    ('noise: 1e-3', 'noise: yes', 'sensors.y1.noise: True is not an expression'),
+    ('noise: 1e-3', 'noise: 2001-01-01', 'sensors.y1.noise: '),
+    ('noise: 1e-3', 'noise: 2001-99-99', 'holds a value that cannot be read'),
+    ('noise: 1e-3', 'noise: ' + '9' * 5000, ''),
+    ('noise: 1e-3', 'noise: 1e999', 'sensors.y1.noise: a number in it is too large'),
+    ('initial: 2.0', 'initial: .inf', 'states.level1.initial: inf is not finite'),
+    ('initial: 2.0', 'intial: 2.0', "states.level1: unknown key 'intial'; did you mean initial?"),
+    ('b: 2.0', 'b: c', "parameters.b: unknown name 'c'; known names: none"),
+    ('b: 2.0', 'b: -.inf', 'parameters.b: -inf is not finite'),
+    ('b: 2.0', 'b: {unit: m}', 'parameters.b.value: is missing'),
+    ('b: 2.0', 'b: 9**9**9**9', 'parameters.b: '),
+    ('b: 2.0', 'level1: 2.0', 'parameters: level1 is also one of the states'),
+    ('b: 2.0', 'if: 2.0', 'parameters: if is a word of the expression language'),
+    ('b: 2.0', '1b: 2.0', "parameters: '1b' is not a name"),
+    ('b: 2.0', 'on: 2.0', 'parameters: True is not a name'),
+    ('b: 2.0', '[1, 2]: 2.0', 'line 4: is not YAML'),
+    ('  u1:', '  level1:', 'inputs: level1 is also one of the states'),
+    ('  u1: {unit: m^3/s, operating: 0.5}', '  - u1', 'inputs: '),
+    ('  level1: {unit: m, initial: 2.0}', '  level1: 2.0', 'states.level1: 2.0 is not a mapping'),
+    ('operating: 0.5', 'operating: .nan', 'inputs.u1.operating: nan is not finite'),
+    ('  y1: {', '  level1: {unit: cm, ', 'sensors.level1.unit: '),
+    ('  y1: {', '  u1: {', 'sensors: u1 is also one of the inputs'),
+    ('sensors:', 'operating_point: {level9: 1}\nsensors:',
+     "operating_point: unknown state 'level9'"),
+    ('sensors:', 'operating_point: 4\nsensors:', 'operating_point: 4 is not a mapping'),
+    ('sensors:', 'matrices: {}\nsensors:', 'dynamics: and matrices are both there'),
+    ('sensors:', 'nonlinearities: []\nsensors:', 'nonlinearities: stands beside dynamics'),
+    ('name: tank', 'name: !!python/object/apply:os.system [ls]', 'is not YAML'),
+    ('name: tank', 'name: &a tank\ndescription: *a', 'line 3: an alias (*) is not read here'),
+    ('name: tank', 'name: tank: x', 'line 2: is not YAML'),
+    ('name: tank', '\tname: tank', 'is not YAML'),
+    ('name: tank', '--- \nname: tank\n---', 'is not YAML'),
+    ('name: tank', 'name: "a\\nb"', 'name: '),
+]
+
+
+@pytest.mark.parametrize(('old', 'new', 'needle'), CHANGES, ids=range(len(CHANGES)))
+def test_a_bad_file_gives_one_line(tmp_path, old, new, needle):
+    assert old in TANK
+    path = written(tmp_path, TANK.replace(old, new, 1))
+    refused(path, needle)
+
+
+def refused(path, needle):
+    with pytest.raises(BadInput) as refusal:
+        load_plant(path)
+    line = str(refusal.value)
+    assert line.startswith(f'{path}: ') and line.isprintable() and '; ' in line
+    assert needle in line
+    assert len(line) < 500 + len(str(path))
+
+
+@pytest.mark.parametrize(('old', 'new', 'needle'), [
+    ('A: [[1, 0], [b, 1 - b]]', 'A: [[1, 0]]', 'matrices.A: is not 2 rows of 2 numbers'),
+    ('A: [[1, 0], [b, 1 - b]]', 'A: [[1, 0], [b, .nan]]', 'matrices.A[1][1]: nan is not finite'),
+    ('A: [[1, 0], [b, 1 - b]]', 'A: [[1, 0], [b, q]]', "matrices.A[1][1]: unknown name 'q'"),
+    ('A: [[1, 0], [b, 1 - b]]', 'Z: 0', "matrices: unknown key 'Z'"),
+    ('A: [[1, 0], [b, 1 - b]]', '', 'matrices.A: is missing'),
+    ('B: [[1], [0]]', 'B: 5', 'matrices.B: is not 2 rows of 1 numbers'),
+    ('C: [[1, 0]]', 'C: [[1]]', 'matrices.C: is not 1 rows of 2 numbers'),
+    ('C: [[1, 0]]', '', 'sensors.y1.measures: is missing'),
+    ('P: [[-1], [b]]', '', 'matrices.P: is missing'),
+    ('{y1: {}}', '{y1: level1}', 'sensors.y1.measures: stands beside matrices.C'),
+    ('{y1: {}}', '{}', 'sensors: is missing or empty'),
+    ('states: {level1: {}, level2: {}}', '', 'states: is missing or empty'),
+    ('sqrt(w1 + u1)', 'sqrt(w2)', "nonlinearities[0].function: unknown name 'w2'"),
+    ('sqrt(w1 + u1)', 'sqrt(level1)', "unknown name 'level1'; known names: w1, u1, b"),
+    ('function: sqrt(w1 + u1), ', '', 'nonlinearities[0].function: is missing'),
+    ('[level1 - level2]', '[level1*level2]', 'nonlinearities[0].of: '),
+    ('[level1 - level2]', '[level1 - 1]', 'has an offset'),
+    ('  - {function', '  a: {function', 'nonlinearities: is not a list'),
+])
+def test_bad_matrices_give_one_line(tmp_path, old, new, needle):
+    assert old in ARRAYS
+    refused(written(tmp_path, ARRAYS.replace(old, new, 1)), needle)
+
+
+LAUGHS = 'a: &a [x, x, x]\n' + ''.join(
+    f'{chr(98 + i)}: &{chr(98 + i)} [{", ".join(["*" + chr(97 + i)] * 9)}]\n' for i in range(9))
+
+
+@pytest.mark.parametrize(('content', 'needle'), [
+    ('', 'is empty'),
+    ('# nothing\n', 'is empty'),
+    ('just a text', 'is not a mapping'),
+    ('- a\n- list\n', 'is not a mapping'),
+    ('{', 'is not YAML'),
+    ('name: "open', 'is not YAML'),
+    (b'\x00\x01\x02', 'is not a text file'),
+    (b'\xff\xfe\xfd\x80', 'is not a text file'),
+    (b'\x89PNG\r\n\x1a\n', 'is not a text file'),
+    ('[' * 50000, 'nested too deeply'),
+    ('{a: ' * 5000, 'nested too deeply'),
+    ('- ' * 5000, 'nested too deeply'),
+    ('x' * (2**20 + 1), 'is larger than 1 MiB'),
+    (LAUGHS, 'an alias (*) is not read here'),
+    ('&a [*a]', 'an alias (*) is not read here'),
+    ('states: {' + ', '.join(f's{i}: {{}}' for i in range(1001)) + '}\nname: a\ntime: continuous',
+     'states: has 1001 entries'),
+], ids=range(16))
+def test_what_is_no_plant_file_at_all(tmp_path, content, needle):
+    refused(written(tmp_path, content), needle)
+
+
+def test_missing_directory_and_forbidden(tmp_path):
+    refused(tmp_path / 'none.yaml', 'cannot be read (No such file or directory)')
+    refused(tmp_path, 'cannot be read (Is a directory)')
+    path = written(tmp_path, TANK)
+    path.chmod(0)
+    if not os.access(path, os.R_OK):    # root may read everything
+        refused(path, 'cannot be read (Permission denied)')
+
+
+@settings(deadline=None, max_examples=200,
+          suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(st.data())
+def test_a_mangled_file_loads_or_gives_one_line(tmp_path, data):
+    text = data.draw(st.sampled_from([TANK, ARRAYS]))
+    at = data.draw(st.integers(0, len(text)))
+    cut = data.draw(st.integers(0, 12))
+    put = data.draw(st.text(alphabet='abu12 :-+*/(){}[],.\n\'"&!|>#%@\\\t=lev', max_size=8))
+    path = written(tmp_path, text[:at] + put + text[at + cut:])
+    try:
+        plant = load_plant(path)
+    except BadInput as error:
+        line = str(error)
+        assert line.startswith(f'{path}: ') and line.isprintable()
+    else:
+        assert np.isfinite(plant.A).all()

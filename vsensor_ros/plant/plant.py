@@ -1,0 +1,346 @@
+"""What is known of a plant: matrices, nonlinear terms, names and units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+import difflib
+import hashlib
+import keyword
+import re
+from typing import Any
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.expression import (
+    Apply,
+    CONSTANTS,
+    Name,
+    negate,
+    Node,
+    Number,
+    parse,
+    substitute,
+    to_text,
+)
+from vsensor_ros.nonlinearity import (
+    argument_names,
+    CATALOGUE,
+    check_term,
+    evaluate,
+    make_term,
+    NonlinearTerm,
+)
+
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+_ARGUMENT = re.compile(r'w[0-9]+')
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """
+    d x = A x + B u + sum_i P[:, i] psi_i(G_i x, u) + D rho,  y = C x.
+
+    d is the derivative, or the shift by `sample_time` seconds when that is not None; rho is
+    unknown. n states, m inputs, l sensors, d disturbances, q nonlinear terms; the entries
+    of every array are in the units of its names. Source: the method, section 1.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    sensors: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    A: np.ndarray                       # (n, n)
+    B: np.ndarray                       # (n, m)
+    C: np.ndarray                       # (l, n)
+    D: np.ndarray                       # (n, d)
+    P: np.ndarray                       # (n, q)
+    G: tuple[np.ndarray, ...]           # q arrays (r_i, n)
+    terms: tuple[NonlinearTerm, ...]    # q
+    sample_time: float | None           # s
+    units: dict[str, str]               # of every name; '' when unknown
+    initial: np.ndarray                 # (n,), the initial guess
+    noise: np.ndarray                   # (l,), standard deviations, NaN where unknown
+    parameters: dict[str, float]
+    operating_point: np.ndarray         # (n,), where the formal addends were taken
+    operating_input: np.ndarray         # (m,), with it
+
+    @classmethod
+    def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
+                      sample_time: float | None = None, *, P: Any = None, G: Any = None,
+                      nonlinearities: Sequence[str | NonlinearTerm] | None = None,
+                      states: Sequence[str] | None = None, inputs: Sequence[str] | None = None,
+                      sensors: Sequence[str] | None = None,
+                      disturbances: Sequence[str] | None = None,
+                      units: Mapping[str, str] | None = None, initial: Any = None,
+                      noise: Any = None, parameters: Mapping[str, float] | None = None,
+                      operating_point: Any = None, operating_input: Any = None,
+                      name: str = 'plant', where: object = 'Plant.from_matrices') -> Plant:
+        """
+        Make a plant of arrays.
+
+        A (n, n), B (n, m) or None, C (l, n), D (n, d) or None: unknown inputs; one column
+        of B, D, P and one row of C may be given flat. P (n, q), G: q arrays (r_i, n) or
+        rows (n,), nonlinearities: q texts over w1..wr (w = G_i x) and the inputs' names, or
+        terms. Names default to x1.., u1.., y1.., rho1..; a sensor may be called as a state.
+        A is taken as it stands: no formal addend is moved into it. where: what error lines
+        call the source. Raises BadInput.
+        """
+        a = _matrix(A, where, 'A')
+        n = len(a)
+        if n == 0 or a.shape != (n, n):
+            raise BadInput(where, 'A', f'has shape {a.shape}', 'give n rows of n numbers')
+        b = _columns(B, n, where, 'B')
+        c = _matrix(C, where, 'C', row=True)
+        if len(c) == 0 or c.shape[1] != n:
+            raise BadInput(where, 'C', f'has shape {c.shape}',
+                           f'give one row of {n} numbers a sensor')
+        d = _columns(D, n, where, 'D')
+        p = _columns(P, n, where, 'P')
+        state_names = _names(states, 'x', n, where, 'states')
+        input_names = _names(inputs, 'u', b.shape[1], where, 'inputs')
+        sensor_names = _names(sensors, 'y', len(c), where, 'sensors')
+        disturbance_names = _names(disturbances, 'rho', d.shape[1], where, 'disturbances')
+        check_distinct(where, {'states': state_names, 'inputs': input_names,
+                               'disturbances': disturbance_names,
+                               'parameters': tuple(parameters or ())})
+        check_distinct(where, {'inputs': input_names, 'disturbances': disturbance_names,
+                               'sensors': sensor_names})
+        for text in input_names:
+            if _ARGUMENT.fullmatch(text):
+                raise BadInput(where, 'inputs', f'{text} is the name of an argument of the '
+                               'nonlinearities (w = G x)', 'choose another name')
+        rows, terms = _terms(G, nonlinearities, p, state_names, input_names, where)
+        everything = (*state_names, *input_names, *sensor_names, *disturbance_names)
+        for known in units or {}:
+            if known not in everything:
+                raise BadInput(where, 'units', f'unknown name {shown(known)}',
+                               suggestion(known, everything))
+        start = _vector(initial, np.zeros(n), where, 'initial')
+        return cls(
+            name=str(name), states=state_names, inputs=input_names, sensors=sensor_names,
+            disturbances=disturbance_names, A=a, B=b, C=c, D=d, P=p, G=rows, terms=terms,
+            sample_time=_sample_time(sample_time, where),
+            units={key: str((units or {}).get(key, '')) for key in everything},
+            initial=start, noise=_noise(noise, len(c), where),
+            parameters={key: float(value) for key, value in (parameters or {}).items()},
+            operating_point=_vector(operating_point, start, where, 'operating_point'),
+            operating_input=_vector(operating_input, np.zeros(len(input_names)), where,
+                                    'operating_input'))
+
+    def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
+        """
+        Return the right-hand side (n,): the derivative, or the next state when discrete.
+
+        x (n,), u (m,), rho (d,), zero when None; for N points at once x (n, N), and u and
+        rho for all of them or (m, N), (d, N).
+        """
+        x = np.asarray(x, dtype=float)
+        u = _beside(np.zeros(0) if u is None else u, x)
+        total = self.A @ x + self.B @ u
+        for term, g, column in zip(self.terms, self.G, self.P.T):
+            psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
+            total = total + np.multiply.outer(column, psi)
+        return total if rho is None else total + self.D @ _beside(rho, x)
+
+    def hash(self) -> str:
+        """Return the SHA-256 of what a design depends on: names, arrays, terms, start."""
+        digest = hashlib.sha256()
+
+        def add(*parts: object) -> None:
+            for part in parts:
+                if isinstance(part, np.ndarray):
+                    hexed = ' '.join(float(v + 0.0).hex() for v in part.ravel())
+                    part = f'{part.shape} {hexed}'
+                digest.update(f'{len(str(part))}:{part};'.encode())
+
+        add(self.name, self.states, self.inputs, self.sensors, self.disturbances,
+            self.A, self.B, self.C, self.D, self.P, self.initial,
+            'continuous' if self.sample_time is None else float(self.sample_time).hex())
+        for term, g in zip(self.terms, self.G):
+            add(term.text, term.slope, g)
+        return digest.hexdigest()
+
+
+def suggestion(name: object, known: Iterable[str]) -> str:
+    """Return the end of an error line for an unknown name: the nearest, and all of them."""
+    known = list(dict.fromkeys(known))
+    near = difflib.get_close_matches(str(name), known, 1)
+    return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
+
+
+def check_name(name: object, where: object, key: str) -> str:
+    """Return the name; raise BadInput unless it is an identifier the language can use."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise BadInput(where, key, f'{shown(name)} is not a name',
+                       'use letters, digits and _, beginning with a letter')
+    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS:
+        raise BadInput(where, key, f'{name} is a word of the expression language',
+                       f'choose another name, such as {name}_')
+    return name
+
+
+def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0) -> Node:
+    """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
+    total: Node | None = None
+    for factor, name in zip(row, names):
+        if factor:
+            size: Node = (Name(name) if abs(factor) == 1.0
+                          else Apply('*', (Number(abs(float(factor))), Name(name))))
+            if total is None:
+                total = size if factor > 0.0 else negate(size)
+            else:
+                total = Apply('+' if factor > 0.0 else '-', (total, size))
+    if total is None:
+        return Number(float(offset))
+    if offset:
+        return Apply('+' if offset > 0.0 else '-', (total, Number(abs(float(offset)))))
+    return total
+
+
+def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
+    """Return a nonlinear term in the plant's names: 'sqrt(level1 - level2)'."""
+    if not len(g) and text == '1':
+        return 'constant'
+    arguments = {w: affine_node(row, states) for w, row in zip(argument_names(len(g)), g)}
+    return to_text(substitute(parse(text), arguments))
+
+
+def _beside(values: Any, x: np.ndarray) -> np.ndarray:
+    # one vector for all columns of x, or a column each
+    values = np.asarray(values, dtype=float)
+    return values[:, np.newaxis] if values.ndim < x.ndim else values
+
+
+def _array(value: Any, where: object, key: str) -> np.ndarray:
+    try:
+        array = np.asarray(value)
+        if np.iscomplexobj(array):
+            raise BadInput(where, key, 'is complex', 'give real numbers')
+        array = np.array(array, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(where, key, f'{shown(value)} is not a matrix of numbers',
+                       'give rows of equal length') from None
+    if not np.isfinite(array).all():
+        raise BadInput(where, key, 'holds NaN or infinity', 'give finite numbers')
+    array.flags.writeable = False
+    return array
+
+
+def _matrix(value: Any, where: object, key: str, row: bool = False) -> np.ndarray:
+    array = _array(value, where, key)
+    if row and array.ndim == 1:
+        array = array[np.newaxis, :]
+    if array.ndim != 2:
+        raise BadInput(where, key, f'has {array.ndim} dimensions, not 2', 'give rows of numbers')
+    return array
+
+
+def _columns(value: Any, n: int, where: object, key: str) -> np.ndarray:
+    array = np.zeros((n, 0)) if value is None else _array(value, where, key)
+    if array.size == 0:
+        array = np.zeros((n, 0))
+    if array.ndim == 1:
+        array = array[:, np.newaxis]
+    if array.ndim != 2 or len(array) != n:
+        raise BadInput(where, key, f'has shape {array.shape}', f'give {n} rows, one a state')
+    array.flags.writeable = False
+    return array
+
+
+def _vector(value: Any, default: np.ndarray, where: object, key: str) -> np.ndarray:
+    try:
+        array = np.array(default if value is None else value, dtype=float)
+    except (TypeError, ValueError):
+        raise BadInput(where, key, f'{shown(value)} is not a list of numbers',
+                       f'give {len(default)} numbers') from None
+    if array.shape != default.shape or not np.isfinite(array).all():
+        raise BadInput(where, key, f'{shown(value)} does not fit',
+                       f'give {len(default)} finite numbers')
+    array.flags.writeable = False
+    return array
+
+
+def _noise(value: Any, count: int, where: object) -> np.ndarray:
+    try:
+        array = np.array([np.nan] * count if value is None else value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.full(1 + count, np.nan)
+    if array.shape != (count,) or np.isinf(array).any() or (array < 0.0).any():
+        raise BadInput(where, 'noise', f'{shown(value)} does not fit',
+                       f'give {count} standard deviations, NaN where unknown')
+    array.flags.writeable = False
+    return array
+
+
+def _sample_time(value: Any, where: object) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) \
+            or not 0.0 < value < float('inf'):
+        raise BadInput(where, 'sample_time', f'{shown(value)} is not a positive number',
+                       'give seconds, or None for continuous time')
+    return float(value)
+
+
+def _names(given: Sequence[str] | None, letter: str, count: int, where: object,
+           key: str) -> tuple[str, ...]:
+    if given is None:
+        return tuple(f'{letter}{i + 1}' for i in range(count))
+    names = (given,) if isinstance(given, str) else tuple(given)
+    if len(names) != count:
+        raise BadInput(where, key, f'{len(names)} names for {count}', 'give one name each')
+    for name in names:
+        check_name(name, where, key)
+    if len(set(names)) < count:
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadInput(where, key, f'{twice} is named twice', 'name each once')
+    return names
+
+
+def check_distinct(where: object, groups: Mapping[str, Sequence[str]]) -> None:
+    """Raise BadInput when a name stands in two of the groups."""
+    seen: dict[str, str] = {}
+    for group, names in groups.items():
+        for name in names:
+            if name in seen:
+                raise BadInput(where, group, f'{name} is also one of the {seen[name]}',
+                               'rename one of them')
+            seen[name] = group
+
+
+def _terms(G: Any, nonlinearities: Sequence[str | NonlinearTerm] | None, p: np.ndarray,
+           states: tuple[str, ...], inputs: tuple[str, ...],
+           where: object) -> tuple[tuple[np.ndarray, ...], tuple[NonlinearTerm, ...]]:
+    texts = [nonlinearities] if isinstance(nonlinearities, str) else list(nonlinearities or ())
+    given = [] if G is None else list(G)
+    if len(texts) == 1 and given and np.ndim(given[0]) == 0:
+        given = [given]    # one flat row for the only term
+    q = p.shape[1]
+    if not len(texts) == len(given) == q:
+        raise BadInput(where, 'nonlinearities', f'{len(texts)} nonlinearities, {len(given)} of '
+                       f'G and {q} columns of P', 'give one of each a term')
+    rows, terms = [], []
+    for i, (text, g) in enumerate(zip(texts, given)):
+        key = f'nonlinearities[{i}]'
+        row = np.zeros((0, len(states))) if np.size(g) == 0 else g
+        row = _matrix(row, where, f'G[{i}]', row=True)
+        if row.shape[1] != len(states):
+            raise BadInput(where, f'G[{i}]', f'has shape {row.shape}',
+                           f'give rows of {len(states)} numbers')
+        if isinstance(text, NonlinearTerm):
+            check_term(text, inputs, where, key)
+            if text.slope.shape != (len(row),):
+                raise BadInput(where, key, f'has {len(text.slope)} arguments but G {len(row)} '
+                               'rows', 'give as many')
+            terms.append(text)
+        else:
+            bare = make_term(text, len(row), inputs, where, key)
+            terms.append(NonlinearTerm(plain_name(bare.text, row, states), bare.text,
+                                       bare.slope))
+        rows.append(row)
+    return tuple(rows), tuple(terms)

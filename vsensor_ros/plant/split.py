@@ -1,0 +1,238 @@
+"""
+Split equations into A x + B u + D rho and nonlinear terms (the method, section 1).
+
+An equation is a sum of addends. Those affine in the names give A, B and D. Any other addend
+is a coefficient times a core; equal cores in several equations are one term with several
+entries in its column of P. The largest parts of a core that are affine in the states become
+its arguments w = G x; inputs, offsets and numbers stay in its text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.expression import (
+    Apply,
+    Closure,
+    compile_node,
+    fold,
+    Name,
+    names,
+    Node,
+    Number,
+    to_text,
+)
+from vsensor_ros.nonlinearity import argument_names, evaluate, make_term, NonlinearTerm, slope_at
+from vsensor_ros.plant.plant import affine_node, plain_name
+
+_OFFSET = ''    # the key of the constant in an affine form; no name is empty
+_ONE = Number(1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """The equations as arrays: n states, m inputs, d disturbances, q terms."""
+
+    A: np.ndarray                       # (n, n)
+    B: np.ndarray                       # (n, m)
+    D: np.ndarray                       # (n, d)
+    P: np.ndarray                       # (n, q)
+    G: tuple[np.ndarray, ...]           # q arrays (r_i, n)
+    terms: tuple[NonlinearTerm, ...]    # q
+
+
+def affine(node: Node) -> dict[str, float] | None:
+    """Return the coefficients by name, the offset under '', or None when not affine."""
+    if isinstance(node, Number):
+        return {_OFFSET: node.value} if node.value else {}
+    if isinstance(node, Name):
+        return {node.id: 1.0}
+    parts = [affine(argument) for argument in node.arguments]
+    forms = [form for form in parts if form is not None]
+    if len(forms) < len(parts):
+        return None
+    if node.function == 'neg':
+        return _sum({}, forms[0], -1.0)
+    if node.function in ('+', '-'):
+        return _sum(forms[0], forms[1], 1.0 if node.function == '+' else -1.0)
+    if node.function == '*':
+        for one, other in (forms, forms[::-1]):
+            if set(one) <= {_OFFSET}:
+                return _sum({}, other, one.get(_OFFSET, 0.0))
+    if node.function == '/' and set(forms[1]) == {_OFFSET}:
+        return {key: value / forms[1][_OFFSET] for key, value in forms[0].items()}
+    return None
+
+
+def _sum(a: Mapping[str, float], b: Mapping[str, float], factor: float) -> dict[str, float]:
+    total = dict(a)
+    for key, value in b.items():
+        total[key] = total.get(key, 0.0) + factor * value
+    return {key: value for key, value in total.items() if value}
+
+
+def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Sequence[str],
+                    disturbances: Sequence[str], where: object, key: str = 'dynamics') -> Split:
+    """
+    Split one right-hand side a state; the only names left are states, inputs, disturbances.
+
+    No formal addend is taken out. Raises BadInput when a disturbance is inside a nonlinear
+    addend.
+    """
+    n = len(states)
+    A, B, D = np.zeros((n, n)), np.zeros((n, len(inputs))), np.zeros((n, len(disturbances)))
+    # a core, known by its text and rows -> its arguments G and its column of P
+    cores: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
+    for i, equation in enumerate(equations):
+        place = f'{key}.{states[i]}'
+        linear: dict[str, float] = {}
+        nonlinear: list[tuple[float, Node]] = []
+        linear = _collect(fold(equation, where, place), 1.0, linear, nonlinear)
+        A[i] = [linear.get(name, 0.0) for name in states]
+        B[i] = [linear.get(name, 0.0) for name in inputs]
+        D[i] = [linear.get(name, 0.0) for name in disturbances]
+        if _OFFSET in linear:
+            nonlinear.append((linear[_OFFSET], _ONE))
+        for factor, core in nonlinear:
+            for name in names(core):
+                if name in disturbances:
+                    raise BadInput(where, place, f'the unknown input {name} is inside the '
+                                   f'nonlinear addend {shown(to_text(core))}',
+                                   'let it enter as an addend of its own')
+            rows: list[np.ndarray] = []
+            text = to_text(fold(_lifted(core, states, inputs, rows), where, place))
+            G = np.array(rows).reshape(len(rows), n)
+            _, column = cores.setdefault((text, G.tobytes()), (G, np.zeros(n)))
+            column[i] += factor
+    # a core whose addends cancel is no term
+    kept = [(text, G, column) for (text, _), (G, column) in cores.items() if column.any()]
+    terms = []
+    for text, G, _ in kept:
+        name = plain_name(text, G, states)
+        terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
+    return Split(A, B, D, np.array([c for _, _, c in kept]).reshape(len(kept), n).T,
+                 tuple(G for _, G, _ in kept), tuple(terms))
+
+
+def _collect(node: Node, factor: float, linear: dict[str, float],
+             nonlinear: list[tuple[float, Node]]) -> dict[str, float]:
+    # the affine part of factor * node added to linear; the other addends put in nonlinear
+    form = affine(node)
+    if form is not None:
+        return _sum(linear, form, factor)
+    scale, core = _scaled(node)
+    if isinstance(core, Apply) and core.function in ('+', '-'):
+        left, right = core.arguments
+        linear = _collect(left, factor * scale, linear, nonlinear)
+        return _collect(right, factor * scale * (1.0 if core.function == '+' else -1.0),
+                        linear, nonlinear)
+    if factor * scale:
+        nonlinear.append((factor * scale, core))
+    return linear
+
+
+def _scaled(node: Node) -> tuple[float, Node]:
+    # node = number * core, with every number of a product taken out
+    if isinstance(node, Number):
+        return node.value, _ONE
+    if isinstance(node, Apply) and node.function == 'neg':
+        scale, core = _scaled(node.arguments[0])
+        return -scale, core
+    if isinstance(node, Apply) and node.function in ('*', '/'):
+        (a, left), (b, right) = (_scaled(argument) for argument in node.arguments)
+        if node.function == '*':
+            core = right if left == _ONE else left if right == _ONE \
+                else Apply('*', (left, right))
+            return a * b, core
+        if b:
+            return a / b, left if right == _ONE else Apply('/', (left, right))
+    return 1.0, node
+
+
+def _lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
+            rows: list[np.ndarray]) -> Node:
+    # the core over w1.. and the inputs; the rows of G are appended to rows
+    form = affine(node)
+    if form is None:
+        assert isinstance(node, Apply)
+        return Apply(node.function, tuple(_lifted(a, states, inputs, rows)
+                                          for a in node.arguments))
+    row = np.array([form.get(name, 0.0) for name in states])
+    coefficients, variables = [form.get(name, 0.0) for name in inputs], list(inputs)
+    if row.any():
+        index, ratio = _place(row, rows)
+        coefficients.insert(0, ratio)
+        variables.insert(0, argument_names(index + 1)[index])
+    return affine_node(coefficients, variables, form.get(_OFFSET, 0.0))
+
+
+def _place(row: np.ndarray, rows: list[np.ndarray]) -> tuple[int, float]:
+    # a multiple of a row that is already there needs no argument of its own
+    for index, known in enumerate(rows):
+        first = int(np.flatnonzero(known)[0])
+        ratio = float(row[first] / known[first])
+        if ratio and np.array_equal(row, ratio * known):
+            return index, ratio
+    rows.append(row)
+    return len(rows) - 1, 1.0
+
+
+def with_addends(split: Split, point: np.ndarray, inputs: Sequence[str],
+                 u: np.ndarray) -> Split:
+    """
+    Move the formal addends into A, so that A is the linearisation at (point, u).
+
+    Slopes are 0 at kinks and outside a domain. Source: the method, 3.2; R, after (17).
+    """
+    A = split.A.copy()
+    terms = []
+    for term, G, column in zip(split.terms, split.G, split.P.T):
+        slope = slope_at(term, G @ point, inputs, u)
+        slope.flags.writeable = False
+        A += np.outer(column, slope @ G)
+        terms.append(NonlinearTerm(term.name, term.text, slope))
+    return Split(A, split.B, split.D, split.P, split.G, tuple(terms))
+
+
+def check_split(split: Split, equations: Sequence[Node], states: Sequence[str],
+                inputs: Sequence[str], disturbances: Sequence[str], near: np.ndarray,
+                where: object, key: str = 'dynamics') -> None:
+    """
+    Compare the split with the equations at random points around `near` (n,).
+
+    Raises BadInput when they differ by more than 1e-9 of the size of their addends.
+    """
+    count = 32
+    random = np.random.default_rng(0)
+    spread = 1.0 + np.abs(near)[:, np.newaxis]
+    x = near[:, np.newaxis] + spread * random.standard_normal((len(states), count))
+    u = random.standard_normal((len(inputs), count))
+    rho = random.standard_normal((len(disturbances), count))
+    values = dict(zip((*states, *inputs, *disturbances), (*x, *u, *rho)))
+    fetch: dict[str, Closure] = {name: _value(name) for name in values}
+    with np.errstate(all='ignore'):
+        linear = split.A @ x + split.B @ u + split.D @ rho
+        size = 1.0 + abs(split.A) @ abs(x) + abs(split.B) @ abs(u) + abs(split.D) @ abs(rho)
+        for term, G, column in zip(split.terms, split.G, split.P.T):
+            psi = evaluate(term, G @ x, inputs, u)
+            psi = np.broadcast_to(psi, (count,))
+            linear = linear + np.outer(column, psi)
+            size = size + abs(np.outer(column, abs(psi) + abs(term.slope) @ abs(G @ x)))
+        for i, equation in enumerate(equations):
+            truth = np.broadcast_to(compile_node(equation, fetch)(values), (count,))
+            # an overflow says nothing of the split
+            usable = np.isfinite(truth) & np.isfinite(linear[i])
+            error = np.max(np.abs(truth - linear[i]) / size[i], where=usable, initial=0.0)
+            if not usable.any() or error > 1e-9:
+                raise BadInput(where, f'{key}.{states[i]}',
+                               f'its matrix form differs from it by {error:.1e} relative'
+                               if usable.any() else 'is not finite near the operating point',
+                               'scale the equation, or write it as a plain sum of addends')
+
+
+def _value(name: str) -> Closure:
+    return lambda values: values[name]
