@@ -174,6 +174,25 @@ def test_servo_family_of_any_rate(member):
     np.testing.assert_allclose(sensor.Gy[0][0], member['Gy'], atol=1e-12)
 
 
+def test_friction_of_a_measured_speed_is_kept_out():
+    """At rest the sign of a measured speed is not known; z = current needs no friction."""
+    sensor = design(servo())[('current',), 'current']
+    assert sensor.active == ()
+    np.testing.assert_allclose(sensor.Phi, [[0, 0, 1]], atol=1e-12)
+    assert sensor.N[0, 0] == pytest.approx(-1.0)
+
+
+def test_friction_of_a_measured_speed_is_named_where_it_cannot_be_kept_out():
+    """A spring behind dry friction: the force is seen through the speed's equation only."""
+    plant = Plant.from_matrices(
+        [[-1, 1, 0], [0, 0, -1], [0, 0, -0.5]], [0, 0, 1], np.eye(3), [0, 1, 0],
+        P=[-1, 0, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'],
+        states=['lag', 'speed', 'force'])
+    sensor = design(plant)[('y1',), 'y1']
+    assert sensor.active == (0,)
+    assert 'at rest unsure of sign(speed)' in sensor.method
+
+
 def test_servo_fault_sets_follow_the_reference():
     only_angle = design(servo(), [('velocity', 'current')])
     for channel in ('velocity', 'current'):

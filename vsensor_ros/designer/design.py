@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import combinations
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import search
-from vsensor_ros.designer.existence import examine
+from vsensor_ros.designer.existence import examine, measured_signs
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
@@ -52,8 +53,21 @@ def _ordered(plant: Plant, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _replace(problem: Problem, method: str | None) -> VirtualSensor | Refusal:
+    """Find the virtual sensor for one problem, preferably without friction unknown at rest."""
+    signs = measured_signs(problem)
+    found = _least_order(problem, signs, method)
+    if signs and isinstance(found, Refusal):
+        found = _least_order(problem, frozenset(), method)
+        if isinstance(found, VirtualSensor) and signs & set(found.active):
+            names = ', '.join(problem.plant.terms[i].name for i in sorted(signs))
+            found = replace(found, method=f'{found.method}; at rest unsure of {names}')
+    return found
+
+
+def _least_order(problem: Problem, avoid: frozenset[int],
+                 method: str | None) -> VirtualSensor | Refusal:
     """Raise the order until a stable virtual sensor is found."""
-    existence = examine(problem)
+    existence = examine(problem, avoid)
     if existence.obstruction is not None:
         return Refusal(problem.channel, problem.fault_set, existence.obstruction)
     found = search.static(problem)

@@ -22,6 +22,7 @@ from vsensor_ros.designer.subspaces import (
     RANK_TOLERANCE,
     solve_left,
 )
+from vsensor_ros.nonlinearity import set_valued
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +34,13 @@ class Existence:
     obstruction: str | None  # one sentence, or None when a virtual sensor exists
 
 
-def examine(problem: Problem) -> Existence:
-    """Decide whether a decoupled virtual sensor with a stable linear part exists."""
-    forced, T = forced_closure(problem)
+def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
+    """
+    Decide whether a decoupled virtual sensor with a stable linear part exists.
+
+    ``avoid``: nonlinear terms that it is to be decoupled from in any case.
+    """
+    forced, T = forced_closure(problem, avoid)
     Phi = left_kernel(T)
     if not in_row_space(np.vstack([Phi, problem.C0]), problem.V):
         return Existence(forced, Phi, _disturbed(problem, forced))
@@ -48,14 +53,26 @@ def examine(problem: Problem) -> Existence:
     return Existence(forced, stable_Phi, None)
 
 
-def forced_closure(problem: Problem) -> tuple[frozenset[int], np.ndarray]:
+def measured_signs(problem: Problem) -> frozenset[int]:
+    """
+    Return the set-valued terms whose argument is measured.
+
+    At rest dry friction takes any value that balances the other forces, and no reading tells
+    which: (E4) holds for such a term, yet its value is not known. Only where the argument passes
+    through z does the implicit step find it.
+    """
+    return frozenset(i for i, (term, g) in enumerate(zip(problem.plant.terms, problem.G))
+                     if set_valued(term) and in_row_space(problem.C0, g))
+
+
+def forced_closure(problem: Problem, forced: frozenset[int] = frozenset(),
+                   ) -> tuple[frozenset[int], np.ndarray]:
     """
     Return the nonlinear terms that must be decoupled and the subspace T* this leads to.
 
     A term whose argument cannot be known where it acts must not act on the observer; decoupling
     it enlarges T*, which may force further terms. Source: method 3.2.
     """
-    forced: frozenset[int] = frozenset()
     while True:
         T = conditioned_invariant(problem.A, problem.C0, problem.decoupled(forced))
         known = np.vstack([left_kernel(T), problem.C0])
@@ -125,9 +142,11 @@ def _disturbed(problem: Problem, forced: frozenset[int]) -> str:
 def _undetectable(problem: Problem, modes: np.ndarray, states: list[str]) -> str:
     kind = 'modulus' if problem.plant.sample_time is not None else 'real part'
     size = np.abs(modes) if problem.plant.sample_time is not None else modes.real
+    counted = ('; nonlinear terms count with their slope at the operating point'
+               if problem.plant.terms else '')
     return (f'{_listed(problem.healthy)} cannot see the mode of {kind} {size.max():.3g} in '
             f'{_listed(tuple(states))}, which does not die out by itself: an initial error '
-            'would stay for ever')
+            f'would stay for ever{counted}')
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -15,7 +15,7 @@ from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.subspaces import in_row_space, measured_part, RANK_TOLERANCE, solve_left
 from vsensor_ros.virtual_sensor import is_stable, VirtualSensor
 
-EQUATION_TOLERANCE = 1e-8  # relative residual allowed in (E1) to (E4), method 3.8
+EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)
 STABILITY_MARGIN = 1e-7  # relative to the size of N: nearer to the boundary is not called stable
 FREQUENCIES = 200  # grid points for the noise gain
 

@@ -1,0 +1,74 @@
+"""What one channel has said so far, and its value at any time: samples (stamp [ns], value)."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+_MOST = 2**16  # samples kept at most, whatever is sent
+
+
+class Samples:
+    """Samples of one channel in the order of their stamps, which strictly increase."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self.values: list[float] = []
+
+    def add(self, stamp: int, value: float) -> str | None:
+        """Append a sample; return why not, or None."""
+        if self.stamps and stamp <= self.stamps[-1]:
+            return 'duplicate stamp' if stamp == self.stamps[-1] else 'stamp runs backwards'
+        if len(self.stamps) >= _MOST:
+            self._drop(_MOST // 2)
+        self.stamps.append(stamp)
+        self.values.append(value)
+        return None
+
+    def forget(self, before: int) -> None:
+        """Drop what no value at or after this time depends on."""
+        count = bisect_right(self.stamps, before) - 1
+        if count > len(self.stamps) // 2:  # now and then: each drop moves the rest
+            self._drop(count)
+
+    def _drop(self, count: int) -> None:
+        del self.stamps[:count], self.values[:count]
+
+    def interpolated(self, time: int, max_age: int) -> float | None:
+        """
+        Return a reading's value at a time [ns]: linear between samples, else held.
+
+        None before the first sample, and where the last one is older than max_age [ns] and the
+        next one unknown or too far from it to say what was between them.
+        """
+        i = bisect_right(self.stamps, time) - 1
+        if i < 0:
+            return None
+        age = time - self.stamps[i]
+        if i + 1 < len(self.stamps) and (gap := self.stamps[i + 1] - self.stamps[i]) <= max_age:
+            part = age / gap
+            return (1.0 - part) * self.values[i] + part * self.values[i + 1]
+        return self.values[i] if age <= max_age else None
+
+    def held(self, time: int) -> float | None:
+        """Return a command's value at a time [ns]: the last one given, however old."""
+        i = bisect_right(self.stamps, time) - 1
+        return None if i < 0 else self.values[i]
+
+    def over(self, start: int, end: int) -> tuple[float, float, float]:
+        """
+        Return (at the start, at the end, mean) of a command over a step [ns].
+
+        A command jumps at its stamps. Start and end are those of the straight line with the same
+        mean and the same first moment, which does to an observer what the jumps do, to third
+        order in the step.
+        """
+        first = bisect_right(self.stamps, start)
+        if first == 0:
+            return 0.0, 0.0, 0.0  # nobody who reads it is running yet
+        mean, slope = self.values[first - 1], 0.0
+        for i in range(first, bisect_left(self.stamps, end)):
+            part = (self.stamps[i] - start) / (end - start)
+            jump = self.values[i] - self.values[i - 1]
+            mean += jump * (1.0 - part)
+            slope += 6.0 * jump * part * (1.0 - part)
+        return mean - slope / 2, mean + slope / 2, mean
