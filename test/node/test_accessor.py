@@ -1,0 +1,148 @@
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Pose, PoseArray
+from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from sensor_msgs.msg import BatteryState, Imu, JointState, MultiDOFJointState, Range
+from std_msgs.msg import Float64, Float64MultiArray, Int8, UInt16
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.node.accessor import (
+    compile_accessor,
+    get_stamp,
+    has_stamp,
+    message_type,
+    put_stamp,
+)
+
+
+def joints():
+    return JointState(name=['shoulder', 'elbow'], position=[1.0, 2.0], velocity=[3.0])
+
+
+def _pose(x):
+    pose = Pose()
+    pose.position.x = x
+    return pose
+
+
+@pytest.mark.parametrize('message, path, value', [
+    (Float64(data=1.5), 'data', 1.5),
+    (Range(range=0.5), 'range', 0.5),
+    (Odometry(), 'pose.pose.position.x', 0.0),
+    (Odometry(), 'twist.covariance[35]', 0.0),
+    (Imu(), 'angular_velocity.z', 0.0),
+    (Float64MultiArray(data=[1.0, 2.0, 3.0]), 'data[2]', 3.0),
+    (joints(), 'position[elbow]', 2.0),
+    (joints(), 'position[0]', 1.0),
+    (BatteryState(voltage=12.5, cell_voltage=[4.0]), 'cell_voltage[0]', 4.0),
+    (PoseArray(poses=[_pose(1.0), _pose(2.0)]), 'poses[1].position.x', 2.0),
+    (UInt16(data=7), 'data', 7.0),
+])
+def test_reads_and_writes_what_it_reads(message, path, value):
+    accessor = compile_accessor(type(message), path)
+    assert accessor.get(message) == value
+    assert type(accessor.get(message)) is float
+    assert accessor.put(message, np.float64(9.0)) is None
+    assert accessor.get(message) == 9.0
+
+
+def test_writes_nothing_else():
+    message, expected = joints(), joints()
+    compile_accessor(JointState, 'position[elbow]').put(message, 9.0)
+    expected.position[1] = 9.0
+    assert message == expected
+
+
+def test_a_joint_is_found_wherever_it_stands():
+    accessor = compile_accessor(JointState, 'position[elbow]')
+    for names in (['elbow', 'shoulder'], ['shoulder', 'elbow'], ['a', 'b', 'elbow'], ['elbow']):
+        positions = [5.0 if name == 'elbow' else 0.0 for name in names]
+        assert accessor.get(JointState(name=names, position=positions)) == 5.0
+
+
+@pytest.mark.parametrize('kind, path, message, reason', [
+    (JointState, 'position[elbow]', JointState(name=['a'], position=[1.0]), 'not in the message'),
+    (JointState, 'velocity[elbow]', joints(), 'too short'),
+    (JointState, 'position[elbow]', JointState(), 'not in the message'),
+    (Float64MultiArray, 'data[2]', Float64MultiArray(data=[1.0, 2.0]), 'too short'),
+    (PoseArray, 'poses[0].position.x', PoseArray(), 'not in the message'),
+])
+def test_what_is_not_there_is_a_reason(kind, path, message, reason):
+    accessor = compile_accessor(kind, path)
+    assert reason in accessor.get(message)
+    assert reason in accessor.put(message, 1.0)
+
+
+def test_values_that_do_not_fit_are_a_reason():
+    assert 'does not fit' in compile_accessor(Int8, 'data').put(Int8(), 128.0)
+    assert 'does not fit' in compile_accessor(Int8, 'data').put(Int8(), math.nan)
+    assert 'does not fit' in compile_accessor(Range, 'range').put(Range(), 1e39)
+    integer = Int8()
+    assert compile_accessor(Int8, 'data').put(integer, -127.6) is None
+    assert integer.data == -128
+    nothing = Range()
+    assert compile_accessor(Range, 'range').put(nothing, math.nan) is None
+    assert math.isnan(nothing.range)
+
+
+@pytest.mark.parametrize('kind, path, told', [
+    (Range, 'distance', 'its fields are header, radiation_type, field_of_view'),
+    (Range, 'header.frame_id', 'is a string, not a number'),
+    (Range, 'header', 'not a number'),
+    (Range, 'range.x', 'has no fields'),
+    (Range, 'range[0]', 'not an array'),
+    (Range, '', 'is not a field'),
+    (Range, 'range.', 'is not a field'),
+    (Range, '__class__', 'is not a field'),
+    (Range, 'get_fields_and_field_types', 'has no field'),
+    (JointState, 'position', 'position[a name]'),
+    (JointState, 'position[-1]', 'indices begin at 0'),
+    (JointState, 'name[0]', 'not a number'),
+    (Imu, 'orientation_covariance[9]', 'indices are 0 to 8'),
+    (Float64MultiArray, 'data[elbow]', 'have no names'),
+    (DiagnosticArray, 'status[0].level', 'not a number'),
+    (BatteryState, 'present', 'not a number'),
+])
+def test_bad_fields_are_refused_in_one_line(kind, path, told):
+    with pytest.raises(BadInput) as raised:
+        compile_accessor(kind, path, 'here', 'sensors.y1.field')
+    assert told in str(raised.value)
+    assert str(raised.value).startswith('here: sensors.y1.field: ')
+    assert '\n' not in str(raised.value)
+
+
+def test_names_of_other_types_are_found_too():
+    message = MultiDOFJointState(joint_names=['base'])
+    assert 'not in the message' in compile_accessor(
+        MultiDOFJointState, 'transforms[base].translation.x').get(message)
+
+
+@pytest.mark.parametrize('name, told', [
+    ('sensor_msgs/msg/Rang', 'did you mean Range?'),
+    ('sensor_msg/msg/Range', 'did you mean sensor_msgs?'),
+    ('sensor_msgs/Range', 'is not a message type'),
+    ('os', 'is not a message type'),
+    ('os.path/msg/Range', 'is not a message type'),
+    ('os/msg/Path', 'no package of interfaces'),
+    ('std_srvs/msg/Trigger', 'has no message'),
+    ('', 'is not a message type'),
+])
+def test_only_installed_messages_are_loaded(name, told):
+    with pytest.raises(BadInput) as raised:
+        message_type(name)
+    assert told in str(raised.value)
+
+
+def test_message_type_gives_the_class():
+    assert message_type('sensor_msgs/msg/Range') is Range
+
+
+def test_stamps():
+    message = Range()
+    for stamp in (0, 1, 1_700_000_000_123_456_789):
+        put_stamp(message, stamp)
+        assert get_stamp(message) == stamp
+    assert has_stamp(Range) and not has_stamp(Float64)

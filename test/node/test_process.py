@@ -1,0 +1,123 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import Range
+
+COMMAND = [sys.executable, '-m', 'vsensor_ros.command.replacer']
+TEXT = """
+replacer:
+  ros__parameters:
+    design_file: {design}
+    rate: 100
+    sensors:
+      y1: {{topic: /y1, type: sensor_msgs/msg/Range, field: range}}
+      y2: {{topic: /y2, type: sensor_msgs/msg/Range, field: range}}
+      y3: {{topic: /y3, type: sensor_msgs/msg/Range, field: range}}
+    commands:
+      u1: {{topic: /u1, type: std_msgs/msg/Float64, field: data}}
+"""
+
+
+@pytest.fixture
+def parameter_file(tmp_path, design_file):
+    path = tmp_path / 'replacer.yaml'
+    path.write_text(TEXT.format(design=design_file))
+    return path
+
+
+def run(*arguments, **environment):
+    return subprocess.run([*COMMAND, *arguments], env={**os.environ, **environment},
+                          capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
+    process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    context = Context()
+    context.init()
+    node = Node('rig', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        heard = []
+        publisher = node.create_publisher(Range, '/y1_raw', 10)
+        node.create_subscription(Range, '/y1', heard.append, 10)
+        end = time.monotonic() + 30
+        while not heard and time.monotonic() < end and process.poll() is None:
+            publisher.publish(Range(range=1.5))
+            executor.spin_once(timeout_sec=0.02)
+        assert heard and heard[0].range == 1.5
+        process.send_signal(number)
+        process.send_signal(number)  # an impatient user
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+    assert process.returncode == 0, err
+    assert 'Traceback' not in out + err and 'Exception' not in out + err, err
+    assert '/y1_raw -> /y1 (sensor_msgs/msg/Range, range)' in err
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_starting(parameter_file, number):
+    # told when main begins, so that the signal comes while the node's modules load
+    script = ('import sys; from vsensor_ros.command import replacer; '
+              'first = replacer.prepare_environment; '
+              'replacer.prepare_environment = lambda: (print(flush=True), first()); '
+              f'sys.exit(replacer.main(["--ros-args", "--params-file", "{parameter_file}"]))')
+    process = subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
+    process.stdout.readline()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 0 and 'Traceback' not in err, err
+
+
+def test_what_it_cannot_start_with(parameter_file):
+    parameter_file.write_text(
+        parameter_file.read_text().replace('rate: 100', 'rate: 0.0\n    colour: red'))
+    ended = run('--ros-args', '--params-file', str(parameter_file))
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines() == [
+        '/replacer: rate: 0 is out of range; choose from 0.001 to 1000',
+        '/replacer: colour: there is no such parameter; leave it out']
+
+
+@pytest.mark.parametrize('arguments, told', [
+    (['--ros-args', '--params-file', '/no/such.yaml'], '/no/such.yaml: parameter file: cannot'),
+    (['--ros-args', '-r', 'a b'], 'replacer: arguments: '),
+    (['--ros-args', '-p', 'rate:=[]'], ''),
+    (['--fast'], 'replacer: --fast: there is no such argument'),
+])
+def test_arguments_it_cannot_start_with(arguments, told):
+    ended = run(*arguments)
+    assert ended.returncode == 2 and 'Traceback' not in ended.stderr
+    assert any(line.startswith(told) for line in ended.stderr.splitlines()), ended.stderr
+
+
+def test_no_home(parameter_file, tmp_path):
+    environment = {k: v for k, v in os.environ.items()
+                   if k not in ('AMENT_PREFIX_PATH', 'ROS_LOG_DIR', 'ROS_HOME')}
+    environment.update(HOME='/nonexistent', TMPDIR=str(tmp_path))
+    process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
+                               env=environment, stderr=subprocess.PIPE, text=True)
+    seen = ''
+    while 'virtual sensors of' not in seen:
+        line = process.stderr.readline()
+        assert line, seen
+        seen += line
+    process.terminate()
+    _, rest = process.communicate(timeout=30)
+    assert process.returncode == 0 and 'Traceback' not in seen + rest
+    assert list(tmp_path.glob('ros_log_*'))

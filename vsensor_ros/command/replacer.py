@@ -1,0 +1,46 @@
+"""Run the replacer node: ``replacer --ros-args --params-file replacer.yaml``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import signal
+import sys
+import tempfile
+from threading import Event
+
+USAGE = 'usage: replacer --ros-args --params-file replacer.yaml'
+
+
+def prepare_environment() -> None:
+    """Give ROS what it needs to start where nobody has sourced a workspace or logged in."""
+    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+    if 'ROS_LOG_DIR' in os.environ or 'ROS_HOME' in os.environ:
+        return
+    home = Path(os.environ.get('HOME') or '/nonexistent')
+    log = next((p for p in (home / '.ros' / 'log', home / '.ros', home) if p.exists()), home)
+    if not os.access(log, os.W_OK | os.X_OK):
+        os.environ['ROS_LOG_DIR'] = tempfile.mkdtemp(prefix='ros_log_')
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run until SIGINT or SIGTERM; 0 then, 2 when it cannot start with what it was given."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    own = arguments[:arguments.index('--ros-args')] if '--ros-args' in arguments else arguments
+    if {'-h', '--help'} & set(own):
+        print(USAGE)
+        return 0
+    if own:
+        print(f'replacer: {own[0]}: there is no such argument; {USAGE}', file=sys.stderr)
+        return 2
+    stop = Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    prepare_environment()
+    # loaded only now, so that a signal meanwhile ends it as quietly as any other
+    from vsensor_ros.node.replacer import start
+    return start(arguments, stop)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
