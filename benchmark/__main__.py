@@ -1,0 +1,98 @@
+"""Measure everything, print the ratios with their bars; exit status 1 when a bar is missed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict
+import json
+import os
+from pathlib import Path
+import platform
+from statistics import median
+import sys
+import time
+
+from benchmark import bank, healthy_path, isolation
+from benchmark.load import KINDS, Load
+from benchmark.rig import set_up
+from benchmark.row import Row
+from vsensor_ros.command.failover import Failed
+from vsensor_ros.command.interrupt import interrupt_once
+
+SECONDS = 6.0  # of each process in the middle, each round
+ROUNDS = 5
+ISOLATIONS = 40
+TICKS = 1000
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return 0, 1 when a bar is missed, 2 when a measurement failed, 130 when interrupted."""
+    parser = argparse.ArgumentParser(prog='python -m benchmark', description=__doc__)
+    parser.add_argument('--message', choices=list(KINDS), default='JointState',
+                        help='type of the messages (default: %(default)s, of 30 joints)')
+    parser.add_argument('--output', type=Path, default=Path('build/benchmark.json'))
+    given = parser.parse_args(arguments)
+    began = time.monotonic()
+    try:
+        rows, details = measure(Load(given.message))
+    except KeyboardInterrupt:
+        return 130
+    except Failed as failed:
+        print(f'\nbenchmark: {failed}', file=sys.stderr)
+        return 2
+    progress('')
+    print(table(rows))
+    missed = [row for row in rows if row.missed]
+    print(f'{len(missed) or "no"} bar{"s" * (len(missed) != 1)} missed; '
+          f'{time.monotonic() - began:.0f} s; {given.output}')
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    given.output.write_text(json.dumps({
+        'machine': {'cores': os.cpu_count(), 'system': platform.platform(),
+                    'python': platform.python_version()},
+        'rows': [{**asdict(row), 'ratio': row.ratio, 'missed': row.missed} for row in rows],
+        **details,
+    }, indent=1) + '\n', encoding='utf-8')
+    return 1 if missed else 0
+
+
+def measure(load: Load) -> tuple[list[Row], dict[str, object]]:
+    """Run all measurements; return the comparisons, and what their medians were taken of."""
+    rows = bank.measure(TICKS, progress=progress)
+    with set_up(load) as rig:
+        legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
+        latencies = isolation.measure(rig, ISOLATIONS, progress)
+    relay_latency = 1e-6 * median(leg.p50 for leg in legs['relay'])
+    rows = [*healthy_path.rows(legs, load), *isolation.rows(latencies, relay_latency), *rows]
+    return rows, {'legs': {name: [asdict(leg) for leg in of] for name, of in legs.items()},
+                  'isolation_s': latencies}
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as text, one line each, below the heading of their group."""
+    lines: list[str] = []
+    group = None
+    for row in rows:
+        if row.group != group:
+            group = row.group
+            lines += ['', group, f'{"ours":>42}{"peer":>12}{"ratio":>9}']
+        bar = '' if row.bar is None else f'   <= {row.bar:g} {"MISSED" if row.missed else "held"}'
+        lines.append(f'  {row.what:<32}{figure(row.ours):>8} {figure(row.peer):>8} {row.unit:<2}'
+                     f'{row.ratio:>9.2f}{bar}')
+    return '\n'.join(lines[1:])
+
+
+def figure(value: float) -> str:
+    """Return three digits that count, without an exponent."""
+    return f'{value:.0f}' if value >= 99.5 else f'{value:.3g}'
+
+
+def progress(text: str) -> None:
+    """Show on one line what is being measured, if somebody looks."""
+    if sys.stderr.isatty():
+        print(f'\r\033[K{text}', end='', file=sys.stderr, flush=True)
+
+
+if __name__ == '__main__':
+    interrupt_once()  # so that all processes are ended
+    sys.exit(main())

@@ -1,0 +1,231 @@
+"""
+Processes around one listener: the drivers, and in the middle the relay or the replacer.
+
+All latencies end at the time that DDS stamps on a message as it comes in, so the listener may
+look when it likes. That clock is the system's, as are the drivers' stamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, ExitStack
+import ctypes
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import numpy as np
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from benchmark.load import COMMAND_TOPIC, Load
+from vsensor_ros import design, Plant
+from vsensor_ros.command.failover import Failed, reserved_domain
+
+ROOT = Path(__file__).resolve().parent.parent
+PERIOD = 0.01  # s, of the virtual sensors
+READY_WITHIN = 30.0  # s
+SETTLE = 1.0  # s between the first messages and the first that counts
+ISOLATION_TOPIC = '/benchmark/isolation'
+
+_libc = ctypes.CDLL(None)
+
+
+class Heard(NamedTuple):
+    """One message as it came in."""
+
+    topic: int
+    stamp: int  # ns
+    received: int  # ns
+    replaced: bool
+
+
+@dataclass(frozen=True)
+class Process:
+    """A child of ours."""
+
+    name: str
+    popen: subprocess.Popen[bytes]
+    log: Path
+
+    def cpu(self) -> float:
+        """Return the CPU time that all its threads have used [s]."""
+        return time.clock_gettime(~self.popen.pid << 3 | 2)  # as clock_getcpuclockid(3) does
+
+    def check(self) -> None:
+        """Raise Failed if it has ended."""
+        if self.popen.poll() is not None:
+            said = self.log.read_text(errors='replace').strip().splitlines()
+            raise Failed(f'{self.name} ended with {self.popen.returncode}: '
+                         f'{said[-1] if said else "it said nothing"}')
+
+
+class Rig:
+    """Drivers that publish all the time, a listener, and room for one process in between."""
+
+    def __init__(self, load: Load, node: Node, work: Path, domain: int) -> None:
+        self.load, self.work, self.domain = load, work, domain
+        self.processes: list[Process] = []
+        self._outputs = [node.create_subscription(
+            load.kind, topic, _ignore, QoSProfile(depth=1000), raw=True)
+            for topic in load.outputs]
+        self._isolation = node.create_publisher(DiagnosticArray, ISOLATION_TOPIC, 10)
+
+    def relay(self) -> _Running:
+        """Run the bare relay, in a with-statement."""
+        return self._serve('the relay', ['benchmark.relay', *self.load.text()])
+
+    def replacer(self) -> _Running:
+        """Run the replacer, in a with-statement."""
+        return self._serve('the replacer', [
+            'vsensor_ros.command.replacer', '--ros-args', '--params-file',
+            str(self.work / 'replacer.yaml')])
+
+    @contextmanager
+    def run(self, name: str, arguments: list[str]) -> Iterator[Process]:
+        """Run a module as a process, dead at the end whatever happens."""
+        log = self.work / f'{name.replace(" ", "_")}.log'
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain),
+                       'PYTHONPATH': os.pathsep.join([
+                           str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])}
+        environment.setdefault('ROS_LOG_DIR', str(self.work / 'log'))
+        with open(log, 'wb') as file:
+            popen = subprocess.Popen([sys.executable, '-m', *arguments], env=environment,
+                                     stdin=subprocess.DEVNULL, stdout=file, stderr=file,
+                                     preexec_fn=_die_with_parent)
+        process = Process(name, popen, log)
+        self.processes.append(process)
+        try:
+            yield process
+        finally:
+            self.processes.remove(process)
+            popen.send_signal(signal.SIGINT)
+            try:
+                popen.wait(5.0)
+            except subprocess.TimeoutExpired:
+                popen.kill()
+                popen.wait()
+
+    @contextmanager
+    def _serve(self, name: str, arguments: list[str]) -> Iterator[Process]:
+        """Run a process in the middle, and yield it when it passes all topics on."""
+        with self.run(name, arguments) as process:
+            seen: set[int] = set()
+
+            def all_seen(heard: list[Heard]) -> bool:
+                seen.update(h.topic for h in heard)
+                return len(seen) == self.load.topics
+            self.wait(all_seen, f'{name} to pass on every topic')
+            self.listen(SETTLE)
+            yield process
+        self.take()  # what it sent last
+
+    def take(self) -> list[Heard]:
+        """Return what has come in since the last time."""
+        heard = []
+        for i, output in enumerate(self._outputs):
+            with output.handle:
+                while taken := output.handle.take_message(self.load.kind, True):
+                    stamp, replaced = self.load.read(taken[0])
+                    heard.append(Heard(i, stamp, taken[1]['received_timestamp'], replaced))
+        return heard
+
+    def listen(self, seconds: float) -> list[Heard]:
+        """Return what comes in meanwhile."""
+        heard, end = self.take(), time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            time.sleep(min(left, 0.05))
+            heard += self.take()
+            for process in self.processes:
+                process.check()
+        return heard
+
+    def wait(self, done: Callable[[list[Heard]], bool], what: str,
+             seconds: float = READY_WITHIN) -> None:
+        """Hand over what comes in until told that it is done; raise Failed when that is never."""
+        end = time.monotonic() + seconds
+        while not done(self.take()):
+            for process in self.processes:
+                process.check()
+            if time.monotonic() > end:
+                raise Failed(f'waited {seconds:g} s in vain for {what}')
+            time.sleep(0.002)
+
+    def isolate(self, sensor: int, faulty: bool) -> int:
+        """Say that a sensor has failed or is well again; return the time [ns] just before."""
+        level = DiagnosticStatus.ERROR if faulty else DiagnosticStatus.OK
+        message = DiagnosticArray(status=[DiagnosticStatus(name=f'y{sensor + 1}', level=level)])
+        at = time.time_ns()
+        self._isolation.publish(message)
+        return at
+
+
+_Running = Any  # what contextlib makes of Rig._serve
+
+
+@contextmanager
+def set_up(load: Load) -> Iterator[Rig]:
+    """Start the drivers and the listener in a ROS domain of their own."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE',
+                          str(ROOT / 'config' / 'fastdds_localhost.xml'))
+    os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+    with ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='benchmark_')))
+        domain = stack.enter_context(reserved_domain())
+        _write_parameters(load, work)
+        rig = Rig(load, stack.enter_context(_node(domain)), work, domain)
+        stack.enter_context(rig.run('the drivers', ['benchmark.load', *load.text()]))
+        yield rig
+
+
+def row_of_tanks(tanks: int) -> Plant:
+    """Return a row of tanks; each flow is the root of a difference of levels."""
+    n = tanks
+    G = np.eye(n) - np.eye(n, k=1)  # differences of levels
+    P = np.eye(n, k=-1) - np.eye(n)  # a flow leaves one tank and enters the next
+    return Plant.from_matrices(
+        P @ G, np.eye(n)[:, :1], np.eye(n), P=P, G=list(G),
+        nonlinearities=['sqrt(w1) - w1'] * n, initial=np.arange(n, 0.0, -1.0), name='row_of_tanks')
+
+
+def _write_parameters(load: Load, work: Path) -> None:
+    """Write the design of one virtual sensor a topic, and the replacer's parameters."""
+    design(row_of_tanks(load.topics)).save(work / 'design.json')
+    lines = ['replacer:', '  ros__parameters:', f'    design_file: {work / "design.json"}',
+             f'    rate: {1.0 / PERIOD}', '    isolation:', f'      topic: {ISOLATION_TOPIC}',
+             '    commands:', f'      u1: {{topic: {COMMAND_TOPIC}, '
+             'type: std_msgs/msg/Float64, field: data}', '    sensors:']
+    lines += [f'      y{i + 1}: {{topic: {topic}, type: sensor_msgs/msg/{load.message}, '
+              f'field: "{load.field}"}}' for i, topic in enumerate(load.outputs)]
+    (work / 'replacer.yaml').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+
+
+@contextmanager
+def _node(domain: int) -> Iterator[Node]:
+    context = Context()
+    # Ctrl-C stays Python's, so that the processes are ended in order
+    context.init(domain_id=domain)
+    node = Node('listener', context=context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def _ignore(message: bytes) -> None:
+    """No executor runs here; messages are taken by hand."""
+
+
+def _die_with_parent() -> None:
+    """Have Linux kill this process when the benchmark is killed and cannot do it any more."""
+    _libc.prctl(1, signal.SIGKILL)
