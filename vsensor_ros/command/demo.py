@@ -1,0 +1,48 @@
+"""
+Watch failed sensors being replaced, over real topics.
+
+Every folder of config/ that has a demo.yaml is a system to show. Exit code 0: every replacement
+met its bar; 1: one did not, or a process died; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+import sys
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.command.interrupt import interrupt_once
+from vsensor_ros.command.replacer import prepare_environment
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command `demo`."""
+    parser = argparse.ArgumentParser(
+        prog='demo', description='Watch failed sensors being replaced, over real ROS 2 topics.')
+    parser.add_argument('systems', nargs='*', metavar='SYSTEM',
+                        help='folders of config/ (default: all that have a demo.yaml)')
+    parser.add_argument('--output', type=Path, default=Path('build/demo'),
+                        help='folder for summary.json, the pictures, designs and logs')
+    given = parser.parse_args(arguments)
+    interrupt_once()
+    prepare_environment()
+    try:
+        # imported here so that Ctrl-C while they load ends as quietly as any other
+        from vsensor_ros.command.show import show_all
+        return show_all(given.systems, given.output)
+    except ModuleNotFoundError as missing:
+        print(f'demo: {missing.name} is not installed; run `make demo`, which sets all up',
+              file=sys.stderr)
+        return 2
+    except BadInput as problem:
+        print(problem, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('stopped', file=sys.stderr)
+        return 130
+
+
+if __name__ == '__main__':
+    sys.exit(main())

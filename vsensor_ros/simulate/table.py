@@ -1,0 +1,51 @@
+"""A recording as a CSV file: a row a time, an empty cell where nothing was sent."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.simulate.fault import Channel
+
+
+def write_table(path: Path, channels: dict[str, Channel]) -> None:
+    """Write channels, their times merged, at full precision."""
+    times = np.unique(np.concatenate([c.time[c.sent] for c in channels.values()]))
+    cells = np.full((len(times), len(channels)), '', dtype=object)
+    for column, channel in enumerate(channels.values()):
+        rows = np.searchsorted(times, channel.time[channel.sent])
+        cells[rows, column] = [repr(float(v)) for v in channel.value[channel.sent]]
+    with open(path, 'w', newline='') as file:
+        lines = csv.writer(file, lineterminator='\n')
+        lines.writerow(['time', *channels])
+        lines.writerows([repr(float(t)), *row] for t, row in zip(times, cells))
+
+
+def read_table(path: Path) -> dict[str, Channel]:
+    """Return the channels of a table, all on its times; raise BadInput."""
+    try:
+        with open(path, newline='') as file:
+            header, *rows = [row for row in csv.reader(file) if row]
+    except OSError as error:
+        raise BadInput(str(path), 'table', error.strerror or str(error),
+                       'give a CSV file with a column time') from None
+    except (ValueError, UnicodeDecodeError, csv.Error):
+        raise BadInput(str(path), 'table', 'no table in it',
+                       'begin with the line time,<channel>,...') from None
+    if header[0] != 'time' or len(set(header)) != len(header) or len(header) < 2 or not rows:
+        raise BadInput(str(path), ','.join(header)[:60], 'not the head of a table, or no row',
+                       'begin with time, then each channel once')
+    for number, row in enumerate(rows, 2):
+        if len(row) != len(header):
+            raise BadInput(str(path), f'line {number}', f'{len(row)} cells',
+                           f'give {len(header)}, as in the head')
+    try:
+        cells = np.array([[float(cell or 0.0) for cell in row] for row in rows])
+    except ValueError as error:
+        raise BadInput(str(path), 'table', str(error), 'write numbers, nan or nothing') from None
+    time, sent = cells[:, 0], np.array([[cell != '' for cell in row] for row in rows])
+    if not (np.all(np.isfinite(time)) and sent[:, 0].all() and np.all(np.diff(time) > 0)):
+        raise BadInput(str(path), 'time', 'does not increase', 'sort the rows by time')
+    return {name: Channel(time, cells[:, i], sent[:, i])
+            for i, name in enumerate(header[1:], 1)}
