@@ -104,16 +104,21 @@ class Bank:
         """Time of the state [ns]: the last grid time, or None before anything was taken."""
         return self._at(self._past[-1].index) if self._past else None
 
-    def take(self, name: str, stamp: int, value: float) -> str | None:
-        """Accept a reading or a command at its stamp [ns]; return None, or why it was not."""
+    def take(self, name: str, stamp: int, value: float, now: int | None = None) -> str | None:
+        """
+        Accept a reading or a command at its stamp [ns]; return None, or why it was not.
+
+        now: the time by which a stamp lies ahead of the clock; by default that of `advance`. Of
+        two commands with one stamp (their messages have none of their own) the later one counts.
+        """
         samples = self._samples[name]
         last = samples.stamps[-1] if samples.stamps else None
         if not abs(value) < _LARGEST:
             reason: str | None = 'not finite'
-        elif self._now is not None and stamp > self._now + self._max_age:
+        elif self._now is not None and stamp > max(self._now, now or 0) + self._max_age:
             reason = 'stamp ahead of the clock'
         else:
-            reason = samples.add(int(stamp), float(value))
+            reason = samples.add(int(stamp), float(value), latest_wins=name in self.inputs)
         if reason is not None:
             self.refused[name, reason] += 1
             return reason
@@ -129,6 +134,12 @@ class Bank:
         if self._redo is None or before < self._redo:
             self._redo = before
         return None
+
+    def confirmed(self, time: int, without: Iterable[str] = ()) -> bool:
+        """Tell whether every sensor that is not silent, nor named, has said what it is then."""
+        return all(stamps[-1] >= time or time - stamps[-1] > self._max_age
+                   for name in self.sensors
+                   if name not in without and (stamps := self._samples[name].stamps))
 
     def advance(self, now: int) -> None:
         """

@@ -14,9 +14,12 @@ class Samples:
         self.stamps: list[int] = []
         self.values: list[float] = []
 
-    def add(self, stamp: int, value: float) -> str | None:
-        """Append a sample; return why not, or None."""
+    def add(self, stamp: int, value: float, latest_wins: bool = False) -> str | None:
+        """Append a sample, or put it in the place of one with the same stamp; return why not."""
         if self.stamps and stamp <= self.stamps[-1]:
+            if latest_wins and stamp == self.stamps[-1]:
+                self.values[-1] = value
+                return None
             return 'duplicate stamp' if stamp == self.stamps[-1] else 'stamp runs backwards'
         if len(self.stamps) >= _MOST:
             self._drop(_MOST // 2)

@@ -49,6 +49,7 @@ from vsensor_ros.virtual_sensor import VirtualSensor
 
 POLL = 0.002  # s between two looks at the subscriptions
 CATCH_UP = 10  # ticks made good one by one when the loop or the clock is late; else the newest
+SLACK = 0.25  # of a period that a tick waits for readings: a held one is a small step behind
 LOOK = 2.0  # s between two looks at the graph
 REPORT = 1.0  # s between two messages on /diagnostics when nothing changes
 QUIET = 5.0  # s between two log lines on the same subject
@@ -95,6 +96,7 @@ class Replacer:
         self.ends = self._ends()
         node.create_timer(LOOK, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.seen: set[str] = set()  # what was said of the graph; the executor's own
+        self.suspected: set[str] = set()  # and what was seen at the last look
         self._log_topics()
 
     # ---------------------------------------------------------------------------- the loop
@@ -202,7 +204,7 @@ class Replacer:
             stamp = self.now if self.simulated else received
             if not stamp:
                 return False  # simulated time has not begun
-        reason = self.bank.take(name, stamp, value)
+        reason = self.bank.take(name, stamp, value, self.now)
         if reason is not None:
             self._count(name, reason)
         return reason is None
@@ -219,7 +221,8 @@ class Replacer:
         period = self.bank.period
         base = self._state_time()
         missed = (self.now - base) // period
-        if missed < 1:
+        if missed < 1 or (missed == 1 and self.now < base + period + round(SLACK * period)
+                          and not self.bank.confirmed(base + period, self.switch.faulty)):
             return False
         if missed > CATCH_UP:
             if base:
@@ -361,10 +364,11 @@ class Replacer:
         return (*ends, *(End(c.topic, c.type, False) for c in s.commands))
 
     def _look_around(self) -> None:
-        for line in complaints(self.node, self.ends):
-            if line not in self.seen:
-                self.seen.add(line)
-                self.node.get_logger().error(line)
+        lines = set(complaints(self.node, self.ends))
+        for line in sorted(lines & self.suspected - self.seen):  # half discovered looks wrong
+            self.node.get_logger().error(line)
+            self.seen.add(line)
+        self.suspected = lines
 
     def _log_topics(self) -> None:
         log = self.node.get_logger()

@@ -141,7 +141,7 @@ class _Motion:
 
         states: list[Array] = []
         now = t[0]
-        mode = np.zeros(len(self.signs))
+        mode: Array = np.zeros(len(self.signs))
         while now < t[-1]:
             if self.signs:
                 x, mode = self.settle(x, mode, self.free(x, u(now), rho(now)))
@@ -151,7 +151,7 @@ class _Motion:
             if flow.status < 0:
                 raise ArithmeticError(f'{self.plant.name} at t = {now:.6g} s: {flow.message}')
             states.extend(np.reshape(flow.y, (len(x), -1)).T)   # [] when an event came first
-            now, x = t[-1], states[-1] if states else x
+            now, x = float(t[-1]), np.array(states[-1] if states else x)
             if flow.status == 1:
                 i = next(i for i, times in enumerate(flow.t_events) if len(times))
                 now, x = flow.t_events[i][0], flow.y_events[i][0]
