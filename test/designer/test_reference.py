@@ -261,3 +261,20 @@ def test_unknown_argument_of_a_nonlinear_term_is_named():
         nonlinearities=['sin(w1)'], states=['arm', 'load'])
     refusal = design(plant, [('y1', 'y2')])[('y1', 'y2'), 'y1']
     assert 'sin(load)' in refusal.reason
+
+
+def test_a_row_of_tanks_reads_the_neighbours_only():
+    """All ten levels are measured; those next to the failed one are enough."""
+    n = 10
+    G = np.eye(n) - np.eye(n, k=1)
+    P = -np.eye(n) + np.eye(n, k=-1)
+    plant = Plant.from_matrices(P @ G, np.eye(n)[:, :1], np.eye(n), P=P, G=list(G),
+                                nonlinearities=['sqrt(w1) - w1'] * n)
+    result = design(plant)
+    for i in range(n):
+        sensor = result[(f'y{i + 1}',), f'y{i + 1}']
+        neighbours = {f'y{j + 1}' for j in (i - 1, i + 1) if 0 <= j < n}
+        assert sensor.order == 1 and set(sensor.reads) <= neighbours
+        assert sensor.J.shape == sensor.Q.shape == (1, n - 1)
+        problem = pose(plant, sensor.fault_set, sensor.channel)
+        assert max(equation_residuals(problem, sensor).values()) < 1e-12

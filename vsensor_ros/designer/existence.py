@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import schur
 
 from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import (
     conditioned_invariant,
     image,
@@ -19,7 +20,6 @@ from vsensor_ros.designer.subspaces import (
     kernel,
     left_kernel,
     measured_part,
-    RANK_TOLERANCE,
     solve_left,
 )
 from vsensor_ros.nonlinearity import set_valued
@@ -40,17 +40,19 @@ def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
 
     ``avoid``: nonlinear terms that it is to be decoupled from in any case.
     """
-    forced, T = forced_closure(problem, avoid)
-    Phi = left_kernel(T)
-    if not in_row_space(np.vstack([Phi, problem.C0]), problem.V):
-        return Existence(forced, Phi, _disturbed(problem, forced))
-    stable_Phi, modes, states = without_hidden_unstable_modes(problem, Phi)
-    needed = np.vstack([problem.V, *(
-        g for i, g in enumerate(problem.G)
-        if i not in forced and np.any(np.abs(stable_Phi @ problem.P[:, i]) > RANK_TOLERANCE))])
-    if not in_row_space(np.vstack([stable_Phi, problem.C0]), needed):
-        return Existence(forced, stable_Phi, _undetectable(problem, modes, states))
-    return Existence(forced, stable_Phi, None)
+    while True:
+        forced, T = forced_closure(problem, avoid)
+        Phi = left_kernel(T)
+        if not in_row_space(np.vstack([Phi, problem.C0]), problem.V):
+            return Existence(forced, Phi, _disturbed(problem, forced))
+        Phi, modes, states = without_hidden_unstable_modes(problem, Phi)
+        known = np.vstack([Phi, problem.C0])
+        if not in_row_space(known, problem.V):
+            return Existence(forced, Phi, _undetectable(problem, modes, states))
+        # a term whose argument went with a hidden mode must not act either
+        avoid = forced | {i for i, g in enumerate(problem.G) if not in_row_space(known, g)}
+        if avoid == forced:
+            return Existence(forced, Phi, None)
 
 
 def measured_signs(problem: Problem) -> frozenset[int]:
@@ -96,13 +98,11 @@ def without_hidden_unstable_modes(
     if hidden.shape[1] == 0:
         return Phi, np.zeros(0, complex), []
     inner = hidden.T @ N @ hidden
-    discrete = problem.plant.sample_time is not None
-    margin = 1e-8 * max(1.0, np.abs(inner).max())
-    T, Z, unstable = schur(
-        inner, output='complex',
-        sort=(lambda s: abs(s) >= 1 - margin) if discrete else (lambda s: s.real >= -margin))
-    if unstable == 0:
+    values, stays = lasting(inner, problem.plant.sample_time, problem.speed)
+    if not stays.any():
         return Phi, np.zeros(0, complex), []
+    T, Z, unstable = schur(inner, output='complex',
+                           sort=lambda s: bool(stays[np.argmin(np.abs(values - s))]))
     lost = hidden @ Z[:, :unstable]  # complex columns of a real subspace
     lost = image(np.hstack([lost.real, lost.imag]))
     keep = left_kernel(lost)
@@ -125,31 +125,41 @@ def unobservable(N: np.ndarray, C: np.ndarray) -> np.ndarray:
 
 def _disturbed(problem: Problem, forced: frozenset[int]) -> str:
     """Say which unknown input or which nonlinear term blocks the way."""
-    plant, healthy = problem.plant, _listed(problem.healthy)
+    plant = problem.plant
     T = conditioned_invariant(problem.A, problem.C0, problem.D)
     if not in_row_space(np.vstack([left_kernel(T), problem.C0]), problem.V):
-        culprits = [
+        culprits = tuple(
             name for i, name in enumerate(plant.disturbances)
             if not in_row_space(np.vstack([left_kernel(conditioned_invariant(
-                problem.A, problem.C0, problem.D[:, [i]])), problem.C0]), problem.V)]
-        who = _listed(tuple(culprits or plant.disturbances))
-        return (f'the unknown input {who} acts on it and cannot be told apart from it by '
-                f'{healthy}')
-    terms = _listed(tuple(plant.terms[i].name for i in sorted(forced)))
-    return f'the nonlinear term {terms} acts on it, and {healthy} cannot tell its argument'
+                problem.A, problem.C0, problem.D[:, [i]])), problem.C0]), problem.V))
+        culprits = culprits or plant.disturbances
+        acts = (f'the unknown input{"s" * (len(culprits) > 1)} {_listed(culprits)} '
+                f'act{"s" * (len(culprits) == 1)} on it')
+        if not problem.healthy:
+            return f'{acts} and no sensor is left to tell them apart'
+        return f'{acts} and cannot be told apart from it by {_listed(problem.healthy)}'
+    terms = tuple(plant.terms[i].name for i in sorted(forced))
+    return (f'{_terms(terms)} on it with an argument that {_listed(problem.healthy)} cannot tell'
+            if problem.healthy else f'{_terms(terms)} on it and no sensor is left')
 
 
 def _undetectable(problem: Problem, modes: np.ndarray, states: list[str]) -> str:
-    kind = 'modulus' if problem.plant.sample_time is not None else 'real part'
-    size = np.abs(modes) if problem.plant.sample_time is not None else modes.real
+    discrete = problem.plant.sample_time is not None
+    size = np.abs(modes).max() if discrete else modes.real.max()
+    if abs(size) < 1e-9 * problem.speed:
+        size = 0.0
+    kind = 'modulus' if discrete else 'real part'
     counted = ('; nonlinear terms count with their slope at the operating point'
                if problem.plant.terms else '')
-    return (f'{_listed(problem.healthy)} cannot see the mode of {kind} {size.max():.3g} in '
-            f'{_listed(tuple(states))}, which does not die out by itself: an initial error '
-            f'would stay for ever{counted}')
+    who = f'{_listed(problem.healthy)} cannot see' if problem.healthy else 'no sensor is left for'
+    return (f'{who} the mode of {kind} {size:.3g} in {_listed(tuple(states))}, which does not '
+            f'surely die out by itself: an initial error would stay{counted}')
+
+
+def _terms(names: tuple[str, ...]) -> str:
+    return f'the nonlinear term{"s" * (len(names) > 1)} {_listed(names)} ' + (
+        'acts' if len(names) == 1 else 'act')
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    if not names:
-        return 'no healthy sensor'
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

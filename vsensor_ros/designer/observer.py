@@ -7,16 +7,18 @@ that counts is therefore that of ``N = A_* + J_F Cv``, not that of A_* (method, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import in_row_space, measured_part, RANK_TOLERANCE, solve_left
-from vsensor_ros.virtual_sensor import is_stable, VirtualSensor
+from vsensor_ros.nonlinearity import set_valued, slope_at
+from vsensor_ros.plant import Plant
+from vsensor_ros.virtual_sensor import VirtualSensor
 
 EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)
-STABILITY_MARGIN = 1e-7  # relative to the size of N: nearer to the boundary is not called stable
 FREQUENCIES = 200  # grid points for the noise gain
 
 
@@ -75,8 +77,8 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
     """
     plant = problem.plant
     candidate = _tidied(problem, _polished(problem, candidate))
-    eigenvalues = np.linalg.eigvals(candidate.N).astype(complex)
-    if not _safely_stable(eigenvalues, plant.sample_time):
+    eigenvalues, stays = lasting(candidate.N, plant.sample_time, problem.speed)
+    if stays.any():
         return None
     Phi_scaled = candidate.Phi
     acts = _acts(problem, Phi_scaled)
@@ -117,7 +119,20 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
         noise_gain=noise_gain(N, J, Cv, Q, plant.sample_time), method=method)
     if max(equation_residuals(problem, sensor).values()) > EQUATION_TOLERANCE:
         return None
-    return sensor
+    return sensor if stable_with_terms(plant, sensor) else None
+
+
+def with_healthy(sensor: VirtualSensor, healthy: tuple[str, ...]) -> VirtualSensor:
+    """Let the columns of J, Q and Gy stand for more sensors, which are not read."""
+    columns = [healthy.index(name) for name in sensor.healthy]
+
+    def widened(M: np.ndarray) -> np.ndarray:
+        wide = np.zeros((len(M), len(healthy)))
+        wide[:, columns] = M
+        return wide
+
+    return replace(sensor, healthy=healthy, J=widened(sensor.J), Q=widened(sensor.Q),
+                   Gy=tuple(widened(g) for g in sensor.Gy), z0_gain=widened(sensor.z0_gain))
 
 
 def _polished(problem: Problem, candidate: Candidate) -> Candidate:
@@ -141,15 +156,29 @@ def _tidied(problem: Problem, candidate: Candidate) -> Candidate:
     CQ = _clean(np.hstack([candidate.Cv * size, candidate.Q]))
     return Candidate(
         _clean(candidate.Phi / size[:, None]), candidate.N / size[:, None] * size,
-        np.where(np.abs(J) < 1e-13 * np.linalg.norm(problem.A, 2), 0.0, J),
+        np.where(np.abs(J) < 1e-13 * problem.speed, 0.0, J),
         CQ[:, :k], CQ[:, k:])
 
 
-def _safely_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:
-    margin = STABILITY_MARGIN * max(1.0, np.abs(eigenvalues).max(initial=0.0))
-    if sample_time is None:
-        return is_stable(eigenvalues + margin, None)
-    return is_stable(eigenvalues * (1 + margin), sample_time)
+def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
+    """
+    Tell whether nothing in the nonlinear terms speaks against stability at the operating point.
+
+    Their slopes there are added to N; and in continuous time a sign must push its own argument
+    towards zero, as dry friction does: otherwise the observer has two stable branches (the
+    method, erratum 1, k7 = +1). No certificate: that is not in this generation.
+    """
+    N = sensor.N
+    for i in sensor.active:
+        term, gz = sensor.terms[i], sensor.Gz[i]
+        if set_valued(term) and sensor.sample_time is None:
+            if float(gz[0] @ sensor.P[:, i]) > 0:
+                return False
+            continue
+        slope = slope_at(term, plant.G[i] @ plant.operating_point, plant.inputs,
+                         plant.operating_input) - term.slope
+        N = N + np.outer(sensor.P[:, i], slope @ gz)
+    return not lasting(N, sensor.sample_time)[1].any()
 
 
 def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, float]:
@@ -171,7 +200,7 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
 
     return {
         'E1': relative((Phi @ plant.A - sensor.N @ Phi - sensor.J @ C0) * problem.scale,
-                       length(Phi) * max(np.linalg.norm(problem.A, 2), 1e-300)),
+                       length(Phi) * max(problem.speed, 1e-300)),
         'E2': relative((Phi * problem.scale) @ problem.D, length(Phi)),
         'E3': relative((V - sensor.Cv @ Phi - sensor.Q @ C0) * problem.scale,
                        max(float(length(V)[0]), 1e-300)),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+import warnings
 
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_are, solve_discrete_are
@@ -205,7 +206,9 @@ def with_residual(problem: Problem, candidate: Candidate,
     k = len(candidate.N)
     for spectrum in (spectra(problem, k) if eigenvalues is None else [eigenvalues]):
         try:
-            K = place_poles(candidate.N.T, C_.T, spectrum).gain_matrix.T
+            with warnings.catch_warnings():
+                warnings.simplefilter('ignore', UserWarning)  # what it misses is checked later
+                K = place_poles(candidate.N.T, C_.T, spectrum).gain_matrix.T
         except (ValueError, np.linalg.LinAlgError):  # a mode that the residual does not show
             return
         yield Candidate(candidate.Phi, candidate.N - K @ C_, candidate.J + K @ R,
