@@ -146,8 +146,10 @@ def test_compiled_text_computes_what_it_says(node, values):
     ('(', 'cannot be read'),
     ('9**9**9**9', 'has no value (too large)'),
     ('exp(x) + 2**9999', 'has no value (too large)'),
-    ('x/0', "'x/0' divides by 0"),
-    ('1/(2 - 2)', "'1/0' divides by 0"),
+    ('x/0', "'x/0' has no value (domain: divisor not 0)"),
+    ('1/(2 - 2)', "'1/0' has no value (domain: divisor not 0)"),
+    ('sat(x, 1, -1)', "'sat(x, 1, -1)' has no value (domain: low <= high)"),
+    ('deadzone(x, 1 - 3)', "'deadzone(x, -2)' has no value (domain: width >= 0)"),
     ('sqrt(-4)', 'has no value (domain: x >= 0)'),
     ('1e999', 'too large'),
     ('9'*400, 'too large'),
@@ -181,6 +183,13 @@ def test_refused_with_one_line(text, needle):
     ('+1', 1.0), (' 1\n+ 2 ', 3.0), (7, 7.0), ((-27) ** 3, -19683.0)])
 def test_constants(text, value):
     assert fold(parse(text)) == Number(pytest.approx(value, rel=1e-15))
+
+
+def test_constants_refuse_only_what_they_decide_alone():
+    for text in ('sat(x, y, -1)', 'sat(x, 1, 1)', 'deadzone(x, 0)', '(-1)**x', '0**x', 'x**-1'):
+        assert to_text(fold(parse(text))) == text
+    with pytest.raises(BadInput, match='low <= high'):
+        fold(substitute(parse('sat(x, -y, y)'), {'y': -1.0}))
 
 
 def test_names_and_substitution_at_once():

@@ -25,7 +25,8 @@ RELAXED = settings(deadline=None, suppress_health_check=[
 ordinary = st.floats(-1e3, 1e3)
 # how the arguments after the first are fixed when a function is looked at along its first
 FIXED = {'atan2': (0.5,), 'min': (0.3,), 'max': (0.3,), 'sat': (-1.0, 2.0), 'deadzone': (0.5,)}
-LIMITED = {'sqrt': -1.0, 'asin': 1.5, 'exp': 701.0, 'log': 0.0}   # one point outside each
+LIMITED = {'sqrt': (-1.0,), 'asin': (1.5,), 'exp': (701.0,), 'log': (0.0,),
+           'sat': (0.0, 2.0, 1.0), 'deadzone': (0.0, -1.0)}    # one point outside each
 
 
 @pytest.mark.parametrize('name', CATALOGUE)
@@ -70,7 +71,9 @@ def test_domain_and_continuation_are_said(name):
     assert (function.outside is not None) == (name in LIMITED)
     if name in LIMITED:
         assert function.continuation
-        assert function.outside(LIMITED[name]) and not function.outside(0.5)
+        inside = (0.5, *FIXED.get(name, ()))
+        assert function.outside(*LIMITED[name]) and not function.outside(*inside)
+        assert not function.outside(*[np.nan] * function.arity)
 
 
 def test_closed_forms_of_the_continuations():
@@ -92,12 +95,15 @@ def test_closed_forms_of_the_continuations():
     assert f('asin(w1)', 2.0) == pytest.approx(np.pi / 2 + 1)
     assert f('log(w1)', 1e-6 - 2e-6) == pytest.approx(np.log(1e-6) - 2)
     assert f('exp(w1)', 1e4) == np.exp(700.0)
+    assert [f('sat(w1, 2, w2)', x, 1.0) for x in (-9.0, 1.5, 9.0)] == [1.0] * 3
+    assert [f('deadzone(w1, w2)', x, -2.0) for x in (-9.0, 0.0, 9.0)] == [-7.0, 2.0, 11.0]
 
 
 @pytest.mark.parametrize(('text', 'w', 'outside'), [
     ('sqrt(w1)', -1.0, True), ('sqrt(w1)', 0.0, False), ('1 + 2*sqrt(w1 - 1)', 0.5, True),
     ('1/w1', 0.0, True), ('1/w1', 1.0, False), ('w1**0.5', -1.0, True), ('w1**2', -1.0, False),
     ('w1**-1', 0.0, True), ('w1/2', 0.0, False), ('sin(w1)', -9.0, False),
+    ('sat(0, 1.2, w1)', 1.0, True), ('sat(w1, 0, 1)', 3.0, False), ('deadzone(0, w1)', -1.0, True),
     ('log(w1) + w1', -1.0, True), ('w1**w1', -1.5, True), ('w1**w1', -2.0, False)])
 def test_outside_domain(text, w, outside):
     term = make_term(text, 1, ())
@@ -107,7 +113,8 @@ def test_outside_domain(text, w, outside):
 
 
 def test_hot_loop_knows_that_there_is_no_domain():
-    assert compile_outside_domain(make_term('sin(w1) + w1**2/3', 1, ()), ()) is None
+    for text in ('sin(w1) + w1**2/3', 'sat(w1, -1, 1) - deadzone(w1, 2)'):
+        assert compile_outside_domain(make_term(text, 1, ()), ()) is None
     assert compile_outside_domain(make_term('sqrt(u1)*w1', 1, ('u1',)), ('u1',)) is not None
 
 

@@ -1,7 +1,12 @@
 """The design file: what is written is read back exactly, and what is wrong is refused."""
 
 import copy
+from dataclasses import replace
 import json
+import os
+from pathlib import Path
+import stat
+from threading import Thread
 
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -48,6 +53,7 @@ def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     assert list(loaded.entries) == list(saved.entries)
     for key, entry in saved.entries.items():
         other = loaded.entries[key]
+        assert frozen(entry) == frozen(other)
         if isinstance(entry, Refusal):
             assert other == entry
             continue
@@ -59,6 +65,16 @@ def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
         assert [t.text for t in other.terms] == [t.text for t in entry.terms]
         assert (other.reads, other.order, other.active) == (
             entry.reads, entry.order, entry.active)
+
+
+def frozen(entry):
+    """Check that no array can be written to; return how many there are."""
+    arrays = [a for value in vars(entry).values()
+              for a in (value if isinstance(value, tuple) else (value,))
+              if isinstance(a, np.ndarray)]
+    arrays += [term.slope for term in getattr(entry, 'terms', ())]
+    assert not any(array.flags.writeable for array in arrays)
+    return len(arrays)
 
 
 def first_sensor(record):
@@ -81,6 +97,20 @@ BROKEN = {
                  'unstable (eigenvalue 0.5'),
     'eigenvalues of another matrix': (
         lambda r: first_sensor(r).update(eigenvalues=[[-7.0, 0.0]]), 'not those of N'),
+    'large eigenvalue of the other sign': (
+        lambda r: first_sensor(r).update(N=[[-1e7]], eigenvalues=[[1e7, 0.0]]), 'not those of N'),
+    'small eigenvalue of the other sign': (
+        lambda r: first_sensor(r).update(N=[[-1e-4]], eigenvalues=[[1e-4, 0.0]]),
+        'not those of N'),
+    'eigenvalue whose square overflows': (
+        lambda r: first_sensor(r).update(eigenvalues=[[1e200, 1e200]]), 'not those of N'),
+    'matrix whose square overflows': (
+        lambda r: first_sensor(r).update(N=[[-1e200]], eigenvalues=[[-2e200, 0.0]]),
+        'not those of N'),
+    'true for a noise gain': (lambda r: first_sensor(r).update(noise_gain=True), 'noise_gain'),
+    'true for a sample time': (lambda r: r['plant'].update(sample_time=True), 'sample_time'),
+    'a word for a name': (lambda r: r['plant'].update(states=['a', 'b', 'sin']), 'sin'),
+    'newline in a unit': (lambda r: r['plant']['units'].update(y1='m\n'), 'plant.units'),
     'reads the failed sensor': (
         lambda r: first_sensor(r).update(healthy=['y1', 'y2', 'y3']), 'healthy'),
     'unknown sensor': (lambda r: first_sensor(r).update(fault_set=['y7']), 'fault_set'),
@@ -129,6 +159,26 @@ def test_duplicate_key_binary_deep_and_missing(written, tmp_path):
     refusal_line(written)
     assert 'cannot be read' in refusal_line(tmp_path / 'nowhere.json')
     assert 'cannot be read' in refusal_line(tmp_path)
+    for path in ('', 'a\0b'):
+        with pytest.raises(BadInput, match='cannot be read'):
+            Design.load(path)
+
+
+@pytest.mark.parametrize('size', [1e-4, 1.0, 1e7, 1e200])
+def test_nearly_defective_eigenvalues_may_differ_in_their_last_digits(written, size):
+    # of [[-s, s], [-1e-12 s, -s]]: -s +- 1e-6 s i, which an ulp of N moves by more than that
+    def change(record):
+        sensor = first_sensor(record)
+        sensor.update(order=2, N=[[-size, size], [-1e-12 * size, -size]],
+                      eigenvalues=[[-size, 2e-6 * size], [-size, -2e-6 * size]],
+                      Phi=[[0.0] * 3] * 2, J=[[0.0] * 2] * 2, B=[[0.0]] * 2, P=[[0.0]] * 2,
+                      Cv=[[0.0] * 2], z0=[0.0] * 2, z0_gain=[[0.0] * 2] * 2)
+        sensor['terms'][0]['Gz'] = [[0.0, 0.0]]
+    rewrite(written, change)
+    Design.load(written)
+    rewrite(written, lambda r: first_sensor(r).update(
+        eigenvalues=[[-1.01 * size, 0.0], [-size, 0.0]]))
+    assert 'not those of N' in refusal_line(written)
 
 
 def test_failed_save_leaves_the_old_file_whole(written, monkeypatch):
@@ -143,9 +193,68 @@ def test_failed_save_leaves_the_old_file_whole(written, monkeypatch):
     assert list(written.parent.iterdir()) == [written]
 
 
-def test_save_into_a_missing_folder_says_so(tmp_path):
+@pytest.mark.parametrize('path', ['no/such/folder.json', '', '.', 'a\0b', 'x' * 300])
+def test_save_where_nothing_can_be_written_says_so(tmp_path, path):
     with pytest.raises(BadInput, match='cannot be written'):
-        servo_design().save(tmp_path / 'no' / 'such' / 'folder.json')
+        servo_design().save(tmp_path / path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_save_keeps_links_and_modes(written):
+    link, dangling = written.with_name('link'), written.with_name('dangling')
+    link.symlink_to(written.name)
+    dangling.symlink_to('new.json')
+    written.chmod(0o640)
+    old = os.umask(0o027)
+    try:
+        for path in (link, dangling):
+            servo_design().save(path)
+            assert path.is_symlink()
+    finally:
+        os.umask(old)
+    mode = {path.name: stat.S_IMODE(path.lstat().st_mode) for path in written.parent.iterdir()}
+    assert mode == {**mode, written.name: 0o640, 'new.json': 0o640} and len(mode) == 4
+    assert Design.load(dangling).entries.keys() == Design.load(link).entries.keys()
+
+
+def test_save_writes_into_a_pipe_and_a_device(tmp_path):
+    pipe, read = tmp_path / 'pipe', []
+    os.mkfifo(pipe)
+    reader = Thread(target=lambda: read.append(json.loads(pipe.read_text())))
+    reader.start()
+    servo_design().save(pipe)
+    reader.join()
+    assert read[0]['version'] == VERSION and list(tmp_path.iterdir()) == [pipe]
+    servo_design().save('/dev/null')
+    assert stat.S_ISCHR(Path('/dev/null').stat().st_mode)
+
+
+@pytest.mark.parametrize(('change', 'needle'), [
+    ({'noise_gain': float('nan')}, r'entries\[1\].noise_gain: is not finite'),
+    ({'N': np.array([[-np.inf]])}, r'entries\[1\].N: '),
+    ({'method': object()}, 'cannot be written as JSON'),
+    ({'method': 'a\nb'}, r'entries\[1\].method: '),
+])
+def test_save_never_writes_what_load_refuses(tmp_path, change, needle):
+    result = servo_design()
+    sensor = result.virtual_sensors[0]
+    result.entries[sensor.fault_set, sensor.channel] = replace(sensor, **change)
+    with pytest.raises(BadInput, match=needle):
+        result.save(tmp_path / 'x.json')
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('key', ['y1', ('y1',), (), ('y1', 'y1', 'y1'), 5, (5, 'y1'),
+                                 (('y1',), []), (([],), 'y1')])
+def test_a_wrong_key_says_how_to_index(key):
+    with pytest.raises(KeyError, match='is not a fault set and a channel'):
+        servo_design()[key]
+
+
+def test_a_key_with_unknown_names_says_which():
+    for key in (('y9', 'y1'), (('y1', 9), 'y1')):
+        with pytest.raises(KeyError, match='9: no such sensor; there are y1, y2, y3'):
+            servo_design()[key]
 
 
 _values = st.recursive(

@@ -22,6 +22,19 @@ class BadInput(ValueError):
         super().__init__(''.join(c if c.isprintable() else '?' for c in line))
 
 
+def check_text(value: object, where: object, key: str) -> str:
+    """Return the text; raise BadInput unless it can stand in a log line."""
+    if not isinstance(value, str) or not value.isprintable():
+        raise BadInput(where, key, f'{shown(value)} is not a text of one line',
+                       'give printable characters, in quotes')
+    return value
+
+
+def reason(error: Exception) -> str:
+    """Return why a file could not be opened, read or written, in the system's words."""
+    return getattr(error, 'strerror', None) or str(error)
+
+
 def _cut(text: str, limit: int) -> str:
     return text if len(text) <= limit else text[:limit - 3] + '...'
 

@@ -29,7 +29,8 @@ class Function:
     slopes: partial derivatives, one an argument, of scalars; not finite at a kink.
     slope_bounds: (a, b) of all difference quotients in the first argument, the others
     fixed, over the whole line with the continuation; None when there are none.
-    outside: elementwise, whether the arguments lie outside the domain; None: no limit.
+    outside: elementwise, whether the arguments lie outside the domain, NaN being inside;
+    None: no limit.
     """
 
     name: str
@@ -41,11 +42,6 @@ class Function:
     outside: Callable[..., Any] | None = None
     domain: str = 'all numbers'
     continuation: str = ''
-
-    @property
-    def monotone(self) -> bool:
-        """Whether the function never decreases in its first argument."""
-        return self.slope_bounds is not None and self.slope_bounds[0] >= 0.0
 
 
 def _divide(a: Any, b: Any) -> Any:
@@ -73,7 +69,7 @@ def _power(x: Any, p: Any) -> Any:
 
 
 def _power_outside(x: Any, p: Any) -> Any:
-    fractional = np.not_equal(np.mod(p, 1.0), 0.0)
+    fractional = np.greater(np.mod(p, 1.0), 0.0)
     return (np.less(x, 0.0) & fractional) | (np.equal(x, 0.0) & np.less(p, 0.0))
 
 
@@ -156,12 +152,14 @@ _ALL = [
              (lambda x, lo, hi: _kink(x in (lo, hi), float(lo < x < hi)),
               lambda x, lo, hi: _kink(x == lo, float(x < lo < hi)),
               lambda x, lo, hi: _kink(x == hi, float(max(x, lo) > hi))),
-             (0.0, 1.0)),
+             (0.0, 1.0), outside=lambda x, lo, hi: np.greater(lo, hi),
+             domain='low <= high', continuation='high'),
     Function('deadzone', 2, lambda x, width: x - np.minimum(np.maximum(x, -width), width),
              (lambda x, width: _kink(abs(x) == width, float(abs(x) > width)),
               lambda x, width: _kink(abs(x) == width,
                                      float(-np.sign(x)) if abs(x) > width else 0.0)),
-             (0.0, 1.0)),
+             (0.0, 1.0), outside=lambda x, width: np.less(width, 0.0),
+             domain='width >= 0', continuation='x - width'),
 ]
 
 _OPERATOR_NAMES = ('+', '-', '*', '/', '**', 'neg')

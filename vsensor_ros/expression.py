@@ -13,7 +13,9 @@ import ast
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
+import keyword
 import math
+import re
 from typing import Any
 import warnings
 
@@ -25,6 +27,7 @@ from vsensor_ros.catalogue import CATALOGUE, Function, OPERATORS
 MAX_CHARACTERS = 2000
 MAX_DEPTH = 50
 CONSTANTS = {'pi': math.pi}
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,17 @@ def parse(text: str | float, where: object = 'expression', key: str = '',
         check_names(node, known, where, key)
     fold(node, where, key)
     return node
+
+
+def check_name(name: object, where: object, key: str) -> str:
+    """Return the name; raise BadInput unless it is an identifier the language can use."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise BadInput(where, key, f'{shown(name)} is not a name',
+                       'use letters, digits and _, beginning with a letter')
+    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS:
+        raise BadInput(where, key, f'{name} is a word of the expression language',
+                       f'choose another name, such as {name}_')
+    return name
 
 
 def check_names(node: Node, known: Iterable[str], where: object = 'expression',
@@ -238,23 +252,21 @@ def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
     """
     Replace every constant part by its number.
 
-    Raises BadInput when such a part is outside the domain of its function or not finite, and
-    for a divisor that is 0.
+    Raises BadInput when such a part is not finite, and where the constants alone put a
+    function outside its domain: a divisor that is 0, limits in the wrong order.
     """
     if not isinstance(node, Apply):
         return node
     arguments = tuple(fold(a, where, key) for a in node.arguments)
-    constants = [a.value for a in arguments if isinstance(a, Number)]
     folded = Apply(node.function, arguments)
-    if node.function == '/' and arguments[1] == Number(0.0):
-        raise BadInput(where, key, f'{shown(to_text(folded))} divides by 0',
-                       'correct the numbers or parameters in it')
-    if len(constants) < len(arguments):
-        return folded
     function = function_of(node)
+    # NaN stands for what is not known yet and lies in every domain
+    numbers = [a.value if isinstance(a, Number) else math.nan for a in arguments]
     with np.errstate(all='ignore'):
-        value = float(function.value(*constants))
-        outside = function.outside is not None and bool(function.outside(*constants))
+        outside = function.outside is not None and bool(function.outside(*numbers))
+        if not outside and not all(isinstance(a, Number) for a in arguments):
+            return folded
+        value = float(function.value(*numbers))
     if outside or not math.isfinite(value):
         why = f'domain: {function.domain}' if outside else 'too large'
         raise BadInput(where, key, f'{shown(to_text(folded))} has no value ({why})',
@@ -292,11 +304,11 @@ def compile_node(node: Node, fetch: Mapping[str, Closure]) -> Closure:
 def domain_limited(node: Apply) -> bool:
     """Whether some arguments lie outside the domain of what the node applies."""
     last = node.arguments[-1]
-    if isinstance(last, Number):
-        if node.function == '/':
-            return False    # fold refuses a divisor that is 0
-        if node.function == '**':
-            return last.value < 0.0 or not last.value.is_integer()
+    if node.function == '**' and isinstance(last, Number):
+        return last.value < 0.0 or not last.value.is_integer()
+    if node.function in ('/', 'sat', 'deadzone') \
+            and all(isinstance(a, Number) for a in node.arguments[1:]):
+        return False    # the first argument does not matter, and fold has checked the others
     return function_of(node).outside is not None
 
 

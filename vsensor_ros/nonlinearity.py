@@ -44,6 +44,9 @@ class NonlinearTerm:
     text: str            # f in the expression language: 'sqrt(w1)'
     slope: np.ndarray    # (r,), the formal addend
 
+    def __post_init__(self) -> None:
+        self.slope.flags.writeable = False
+
 
 def argument_names(r: int) -> tuple[str, ...]:
     """Return ('w1', .., 'wr')."""
@@ -65,9 +68,7 @@ def make_term(text: str | float, r: int, inputs: Sequence[str], where: object = 
     """
     node = fold(parse(text, where, key, known=(*argument_names(r), *inputs)), where, key)
     text = to_text(node)
-    slope = np.zeros(r)
-    slope.flags.writeable = False
-    return NonlinearTerm(name or text, text, slope)
+    return NonlinearTerm(name or text, text, np.zeros(r))
 
 
 @lru_cache(maxsize=4096)

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import json
 import os
 from pathlib import Path
-import re
-import tempfile
+import secrets
+import shutil
 from typing import Any, NoReturn
 
 import numpy as np
 
-from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bad_input import BadInput, check_text, reason
+from vsensor_ros.expression import check_name
 from vsensor_ros.nonlinearity import check_term, NonlinearTerm
 
 FORMAT = 'vsensor_ros design'
@@ -57,6 +58,13 @@ class VirtualSensor:
     eigenvalues: np.ndarray  # (k,) complex, of N
     noise_gain: float  # peak over frequency of |Cv (s - N)^-1 J + Q|
     method: str  # how it was found
+
+    def __post_init__(self) -> None:
+        # a fresh one and a loaded one are alike: not to be written to
+        for value in vars(self).values():
+            for array in value if isinstance(value, tuple) else (value,):
+                if isinstance(array, np.ndarray):
+                    array.flags.writeable = False
 
     @property
     def order(self) -> int:
@@ -99,9 +107,13 @@ class Design:
 
     def __getitem__(self, key: tuple[Iterable[str], str]) -> VirtualSensor | Refusal:
         """Look up ``design[fault_set, channel]``; raise KeyError when it was not designed."""
-        fault_set, channel = key
-        names = {fault_set} if isinstance(fault_set, str) else set(fault_set)
-        unknown = sorted((names | {channel}) - set(self.sensors))
+        try:
+            fault_set, channel = key if isinstance(key, tuple) else ()
+            names = {fault_set} if isinstance(fault_set, str) else set(fault_set)
+            unknown = sorted(map(str, (names | {channel}) - set(self.sensors)))
+        except (TypeError, ValueError):
+            raise KeyError(f'{key!r:.80}: is not a fault set and a channel; write '
+                           "design[('y1', 'y2'), 'y1']") from None
         if unknown:
             raise KeyError(f'{", ".join(unknown)}: no such sensor; there are '
                            f'{", ".join(self.sensors)}')
@@ -132,22 +144,31 @@ class Design:
         """
         Write the design file; the old file stays whole until the new one is complete.
 
-        Raises BadInput when the file cannot be written.
+        A link stays a link, a pipe or a device is written into. Raises BadInput when the file
+        cannot be written, or when it would not be loaded.
         """
-        text = json.dumps(_to_record(self), indent=1, allow_nan=False) + '\n'
-        target = Path(path)
         try:
-            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f'.{target.name}.')
+            text = json.dumps(_to_record(self), indent=1) + '\n'
+        except (TypeError, ValueError) as error:
+            raise BadInput(path, 'design', f'cannot be written as JSON ({error})',
+                           'make it of numbers and texts') from error
+        _from_record(json.loads(text), path)
+        try:
+            if os.path.exists(path) and not os.path.isfile(path):
+                Path(path).write_text(text, encoding='utf-8')
+                return
+            target = Path(os.path.realpath(path))
+            beside = target.with_name(f'.design.{secrets.token_hex(8)}')
             try:
-                with os.fdopen(handle, 'w', encoding='utf-8') as file:
+                with open(beside, 'x', encoding='utf-8') as file:
                     file.write(text)
-                os.chmod(name, 0o644)
-                os.replace(name, target)
-            except BaseException:
-                os.unlink(name)
-                raise
-        except OSError as error:
-            raise BadInput(path, 'design file', f'cannot be written ({error.strerror})',
+                if target.exists():
+                    shutil.copymode(target, beside)
+                os.replace(beside, target)
+            finally:
+                beside.unlink(missing_ok=True)
+        except (OSError, ValueError) as error:
+            raise BadInput(path, 'design file', f'cannot be written ({reason(error)})',
                            'name a file in a folder that exists and is writable') from error
 
     @classmethod
@@ -170,7 +191,6 @@ def is_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:
 
 # ---------------------------------------------------------------------------------- the file
 
-_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 _MEND = 'write the file anew with the designer'
 
 
@@ -225,8 +245,8 @@ def _read_json(path: str | Path) -> Any:
     try:
         with open(path, 'rb') as file:
             data = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise BadInput(path, 'design file', f'cannot be read ({error.strerror})',
+    except (OSError, ValueError) as error:
+        raise BadInput(path, 'design file', f'cannot be read ({reason(error)})',
                        'name a file that the designer wrote') from error
     if len(data) > LARGEST_FILE:
         raise BadInput(path, 'design file', f'is larger than {LARGEST_FILE // 2**20} MiB', _MEND)
@@ -261,24 +281,19 @@ class _Reader:
             if key not in keys:
                 raise self.fail(key[:80], 'is not a key of the design file')
 
-    def get(self, key: str, kind: type, what: str) -> Any:
+    def get(self, key: str, kind: type | tuple[type, ...], what: str) -> Any:
         if key not in self.record:
             raise self.fail(key, 'is missing')
         value = self.record[key]
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        if not isinstance(value, kind) or isinstance(value, bool):
             raise self.fail(key, f'must be {what}')
         return value
 
     def text(self, key: str) -> str:
-        value = self.get(key, str, 'a text')
-        if not value.isprintable():  # a log line is one line
-            raise self.fail(key, 'holds a character that cannot be printed')
-        return value
+        return check_text(self.get(key, str, 'a text'), self.path, f'{self.place}{key}')
 
     def number(self, key: str) -> float:
-        if isinstance(self.record.get(key), int):
-            self.record[key] = _as_float(self.record[key])
-        value = self.get(key, float, 'a number')
+        value = _as_float(self.get(key, (int, float), 'a number'))
         if not np.isfinite(value):
             raise self.fail(key, 'is not finite')
         return value
@@ -288,8 +303,7 @@ class _Reader:
         if len(value) > LARGEST_SIDE:
             raise self.fail(key, f'has more than {LARGEST_SIDE} names')
         for name in value:
-            if not isinstance(name, str) or not _NAME.fullmatch(name):
-                raise self.fail(key, f'{name!r:.80} is not a name')
+            check_name(name, self.path, f'{self.place}{key}')
         if len(set(value)) < len(value):
             raise self.fail(key, 'holds a name twice')
         return tuple(value)
@@ -303,7 +317,6 @@ class _Reader:
         array = np.array(value, dtype=float).reshape(shape)
         if not np.all(np.isfinite(array)):
             raise self.fail(key, 'is not finite')
-        array.flags.writeable = False
         return array
 
     def objects(self, key: str) -> list[_Reader]:
@@ -316,8 +329,8 @@ class _Reader:
         return readers
 
 
-def _as_float(value: int) -> float:
-    """Convert a JSON integer, however long, to a float (infinite when too large)."""
+def _as_float(value: int | float) -> float:
+    """Convert a JSON number, however long, to a float (infinite when too large)."""
     try:
         return float(value)
     except OverflowError:
@@ -327,7 +340,7 @@ def _as_float(value: int) -> float:
 def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
     if not shape:
         return isinstance(value, (int, float)) and not isinstance(value, bool) \
-            and np.isfinite(_as_float(value) if isinstance(value, int) else value)
+            and np.isfinite(_as_float(value))
     return isinstance(value, list) and len(value) == shape[0] and (
         all(_has_shape(item, shape[1:]) for item in value))
 
@@ -350,9 +363,8 @@ def _from_record(record: Any, path: str | Path) -> Design:
         if sample_time <= 0:
             raise plant.fail('sample_time', 'must be positive')
     units = plant.get('units', dict, 'an object')
-    for name, unit in units.items():
-        if not isinstance(unit, str) or not unit.isprintable() or not name.isprintable():
-            raise plant.fail('units', 'must hold texts')
+    for text in (*units, *units.values()):
+        check_text(text, path, 'plant.units')
     design = Design(
         plant.text('name'), plant.text('hash'), states, inputs, sensors, units, sample_time, {})
     for reader in top.objects('entries'):
@@ -403,7 +415,7 @@ def _read_sensor(reader: _Reader, design: Design) -> VirtualSensor:
     if not is_stable(eigenvalues, design.sample_time):
         raise reader.fail('N', f'is unstable (eigenvalue {_worst(eigenvalues, design):.6g})')
     stored = reader.array('eigenvalues', k, 2)
-    if not _same_polynomial(stored[:, 0] + 1j * stored[:, 1], eigenvalues):
+    if not _same_spectrum(stored[:, 0] + 1j * stored[:, 1], eigenvalues, N):
         raise reader.fail('eigenvalues', 'are not those of N')
     terms, Gz, Gy = [], [], []
     for item in reader.objects('terms'):
@@ -430,13 +442,16 @@ def _worst(eigenvalues: np.ndarray, design: Design) -> complex:
     return complex(eigenvalues[int(np.argmax(size))])
 
 
-def _same_polynomial(stored: np.ndarray, computed: np.ndarray) -> bool:
+def _same_spectrum(stored: np.ndarray, computed: np.ndarray, N: np.ndarray) -> bool:
     """
     Compare two spectra through sum and sum of squares.
 
     The eigenvalues of a matrix that is nearly defective depend on the machine in their last
-    digits by far more than rounding; their power sums do not.
+    digits by far more than rounding; their power sums do not, down to the rounding of N itself.
     """
-    scale = 1.0 + np.abs(computed).max(initial=0.0)
-    return bool(np.all(np.abs([np.sum(stored**p) - np.sum(computed**p) for p in (1, 2)])
-                       <= 1e-6 * scale**2 * max(1, len(computed))))
+    tiny = np.finfo(float).tiny
+    scale = max(np.abs(computed).max(initial=tiny), 1e-4 * np.abs(N).max(initial=0.0))
+    with np.errstate(all='ignore'):  # what overflows compares as different
+        return bool(np.isfinite(scale)) and all(
+            abs(np.sum((stored / scale)**p) - np.sum((computed / scale)**p)) <= 1e-6 * len(N)
+            for p in (1, 2))

@@ -1,6 +1,7 @@
 """When a time is confirmed, and what a stamp is measured against."""
 
 import numpy as np
+
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
 

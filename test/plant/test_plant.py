@@ -73,8 +73,9 @@ def test_arrays_are_copied_and_frozen():
     plant = Plant.from_matrices(a, B, C)
     a[0, 0] = 9.0
     assert plant.A[0, 0] == -1.0
-    with pytest.raises(ValueError, match='read-only'):
-        plant.A[0, 0] = 9.0
+    for array in (plant.A, tank().terms[0].slope):
+        with pytest.raises(ValueError, match='read-only'):
+            array[:] = 9.0
 
 
 def test_hash_depends_on_what_a_design_depends_on():
@@ -96,7 +97,11 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'A': [[1.0, 2.0], [3.0]]}, 'A: [[1.0, 2.0], [3.0]] is not a matrix'),
     ({'A': 'text'}, "A: 'text' is not a matrix"),
     ({'A': np.full((3, 3), np.nan)}, 'A: holds NaN or infinity'),
-    ({'A': np.eye(3) * 1j}, 'A: is complex'),
+    ({'A': np.eye(3) * 1j}, 'is not a matrix of real numbers'),
+    ({'A': np.full((3, 3), '1')}, 'is not a matrix of real numbers'),
+    ({'A': np.full((3, 3), '2020-01-01', 'datetime64[D]')}, 'is not a matrix of real numbers'),
+    ({'A': np.diag([1e76, 1, 1])}, 'A: holds a number beyond 1e+75; choose other units'),
+    ({'B': [10**400, 0, 0]}, 'B: '),
     ({'A': 2.0}, 'A: has 0 dimensions'),
     ({'B': [[1.0], [2.0]]}, 'B: has shape (2, 1)'),
     ({'B': [[1.0], [np.inf], [2.0]]}, 'B: holds NaN or infinity'),
@@ -106,10 +111,22 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'D': [1.0, 0.0]}, 'D: has shape (2, 1)'),
     ({'P': None}, 'nonlinearities: 3 nonlinearities, 3 of G and 0 columns of P'),
     ({'G': G[:2]}, '3 nonlinearities, 2 of G'),
+    ({'G': 5}, 'G: 5 is not a list'),
+    ({'G': [G[0], G[1], [[1.0], [2.0, 3.0]]]}, 'G[2]: '),
+    ({'G': [G[0], G[1], None]}, 'G[2]: holds NaN'),
+    ({'nonlinearities': 5}, 'nonlinearities: 5 is not a list'),
+    ({'nonlinearities': [None] * 3}, 'nonlinearities[0]: None is not an expression'),
+    ({'nonlinearities': [NonlinearTerm('a\nb', 'w1', np.zeros(1))] * 3},
+     "nonlinearities[0]: 'a\\nb' is not a text of one line"),
+    ({'nonlinearities': [NonlinearTerm('', 'w1', np.zeros(2))] * 3},
+     'nonlinearities[0].slope: array([0., 0.]) does not fit'),
+    ({'nonlinearities': [NonlinearTerm('', 'w1', np.full(1, np.nan))] * 3},
+     'nonlinearities[0].slope: holds NaN'),
     ({'nonlinearities': ['w1', 'w1', 'w2']}, "nonlinearities[2]: unknown name 'w2'"),
     ({'nonlinearities': ['w1', "__import__('os')", 'w1']}, 'nonlinearities[1]: the function'),
     ({'G': [[1.0, 0.0], G[1], G[2]]}, 'G[0]: has shape (1, 2)'),
     ({'states': ('a', 'b')}, 'states: 2 names for 3'),
+    ({'states': 5}, 'states: 5 is not a list'),
     ({'states': ('a', 'b', 'a')}, 'states: a is named twice'),
     ({'states': ('a', 'b', '1c')}, "states: '1c' is not a name"),
     ({'states': ('a', 'b', 'c\n')}, 'is not a name'),
@@ -123,9 +140,23 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'sample_time': 0.0}, 'sample_time: 0.0 is not a positive number'),
     ({'sample_time': float('nan')}, 'sample_time: nan'),
     ({'sample_time': 'fast'}, "sample_time: 'fast'"),
+    ({'sample_time': 10**400}, 'sample_time: 1000'),
+    ({'name': None}, 'name: None is not a text of one line'),
+    ({'name': 'a\nb'}, "name: 'a\\nb' is not a text of one line"),
+    ({'name': ''}, 'name: is empty'),
+    ({'parameters': {'a': 'b'}}, "parameters: ['b'] is not"),
+    ({'parameters': [1.0]}, 'parameters: [1.0] is not a mapping'),
+    ({'parameters': {'x1': 1.0}}, 'parameters: x1 is also one of the states'),
+    ({'units': ['m']}, "units: ['m'] is not a mapping"),
+    ({'units': {'x1': 'm\x1b'}}, 'units.x1: '),
+    ({'units': {'x1': None}}, 'units.x1: None is not a text'),
     ({'initial': [1.0, 2.0]}, 'initial: [1.0, 2.0] does not fit'),
     ({'initial': [1.0, 2.0, np.nan]}, 'initial: '),
-    ({'noise': [-1.0, 1.0]}, 'noise: [-1.0, 1.0] does not fit'),
+    ({'initial': np.zeros(3, 'datetime64[s]')}, 'initial: '),
+    ({'initial': 'abc'}, "initial: 'abc' is not"),
+    ({'noise': ['a', 'b']}, 'noise: '),
+    ({'noise': [1.0, np.inf]}, 'noise: holds'),
+    ({'noise': [-1.0, 1.0]}, 'noise: [-1.0, 1.0] is negative somewhere'),
     ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),
 ])
 def test_bad_arrays_give_one_line(change, needle):

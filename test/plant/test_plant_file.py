@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+import re
 
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
@@ -146,6 +147,29 @@ def test_matrices(tmp_path):
         assert np.allclose(plant.rate_of_change(x, u), moved.rate_of_change(x, u), atol=1e-14)
 
 
+def test_flat_columns_and_rows(tmp_path):
+    flat = ARRAYS.replace('[[1], [0]]', '[1, 0]').replace('[[1, 0]]', '[1, 0]').replace(
+        '[[-1], [b]]', '[-1, b]')
+    assert flat.count('[[') == 1    # A
+    plants = [load_plant(written(tmp_path, text)) for text in (ARRAYS, flat)]
+    assert plants[0].hash() == plants[1].hash()
+
+
+def test_both_examples_of_the_documentation_are_one_plant(tmp_path):
+    text = (ROOT / 'docs/plant_file.md').read_text()
+    whole, matrices = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
+    other = re.sub(r'dynamics:.*?(?=sensors:)', lambda _: matrices, whole, flags=re.DOTALL)
+    assert 'matrices:' in other and 'dynamics:' not in other
+    plants = [load_plant(written(tmp_path, each)) for each in (whole, other)]
+    assert plants[0].hash() == plants[1].hash()
+    assert plants[0].B.tolist() == [[0], [25]] and plants[0].noise[0] == 0.001
+
+
+def test_a_state_called_on(tmp_path):
+    text = TANK.replace('level1', 'on').replace('  on:', "  'on':").replace(' on,', " 'on',")
+    assert load_plant(written(tmp_path, text)).states == ('on', 'level2')
+
+
 def test_parameters_may_use_earlier_ones(tmp_path):
     text = TANK.replace('{b: 2.0,', '{b: 2.0, c: sqrt(b)*3e-1, d: c/pi,')
     assert load_plant(written(tmp_path, text)).parameters['d'] == pytest.approx(
@@ -155,12 +179,13 @@ def test_parameters_may_use_earlier_ones(tmp_path):
 CHANGES = [
     # (old text, new text, what the line says)
     ('name: tank', '', 'name: is missing; write name: my_plant'),
-    ('name: tank', 'name: [1]', 'name: [1] is not a name'),
+    ('name: tank', 'name: [1]', 'name: [1] is not a text of one line'),
+    ('name: tank', 'name: ""', 'name: is empty'),
     ('time: continuous', '', 'time: is missing; write continuous or'),
     ('time: continuous', 'time: often', "time: 'often' is not understood"),
     ('time: continuous', 'time: {sample_time: -1}', 'time.sample_time: -1 is not positive'),
     ('time: continuous', 'time: {period: 1}', "time: unknown key 'period'; known: sample_time"),
-    ('time: continuous', 'time: {}', 'time.sample_time: None is not an expression'),
+    ('time: continuous', 'time: {}', 'time.sample_time: is missing; give seconds'),
     ('dynamics:', 'dynamic:', "unknown key 'dynamic'; did you mean dynamics?"),
     ('dynamics:', 'description:', 'description: '),
     ('  level2: b*sqrt', '  level3: b*sqrt', "unknown state 'level3'; did you mean level"),
@@ -188,7 +213,7 @@ CHANGES = [
     ('noise: 1e-3', 'noise: .nan', 'sensors.y1.noise: nan is not finite'),
     ('noise: 1e-3', 'noise: much', "sensors.y1.noise: unknown name 'much'"),
     ('noise: 1e-3', 'noise: [1]', 'sensors.y1.noise: [1] is not an expression'),
-    ('noise: 1e-3', 'noise: yes', 'sensors.y1.noise: True is not an expression'),
+    ('noise: 1e-3', 'noise: yes', 'line 16: YAML reads yes as a truth value'),
     ('noise: 1e-3', 'noise: 2001-01-01', 'sensors.y1.noise: '),
     ('noise: 1e-3', 'noise: 2001-99-99', 'holds a value that cannot be read'),
     ('noise: 1e-3', 'noise: ' + '9' * 5000, ''),
@@ -202,8 +227,11 @@ CHANGES = [
     ('b: 2.0', 'level1: 2.0', 'parameters: level1 is also one of the states'),
     ('b: 2.0', 'if: 2.0', 'parameters: if is a word of the expression language'),
     ('b: 2.0', '1b: 2.0', "parameters: '1b' is not a name"),
-    ('b: 2.0', 'on: 2.0', 'parameters: True is not a name'),
+    ('b: 2.0', 'on: 2.0', "line 4: YAML reads on as a truth value (so with on, off, "
+     "yes, no); write 'on'"),
     ('b: 2.0', '[1, 2]: 2.0', 'line 4: is not YAML'),
+    ('b: 2.0', 'b: 1e76', 'holds a number beyond 1e+75'),
+    ('b: 2.0', '"b\\n": 2.0', 'is not a name'),
     ('  u1:', '  level1:', 'inputs: level1 is also one of the states'),
     ('  u1: {unit: m^3/s, operating: 0.5}', '  - u1', 'inputs: '),
     ('  level1: {unit: m, initial: 2.0}', '  level1: 2.0', 'states.level1: 2.0 is not a mapping'),
@@ -246,6 +274,9 @@ def refused(path, needle):
     ('A: [[1, 0], [b, 1 - b]]', 'A: [[1, 0], [b, q]]', "matrices.A[1][1]: unknown name 'q'"),
     ('A: [[1, 0], [b, 1 - b]]', 'Z: 0', "matrices: unknown key 'Z'"),
     ('A: [[1, 0], [b, 1 - b]]', '', 'matrices.A: is missing'),
+    ('B: [[1], [0]]', 'B: [1, 0, 0]', 'matrices.B: is not 2 rows of 1 numbers'),
+    ('A: [[1, 0], [b, 1 - b]]', 'A: [1, 0]', 'matrices.A: is not 2 rows of 2 numbers'),
+    ('A: [[1, 0], [b, 1 - b]]', 'A: [[1e76, 0], [b, b]]', 'A: holds a number beyond 1e+75'),
     ('B: [[1], [0]]', 'B: 5', 'matrices.B: is not 2 rows of 1 numbers'),
     ('C: [[1, 0]]', 'C: [[1]]', 'matrices.C: is not 1 rows of 2 numbers'),
     ('C: [[1, 0]]', '', 'sensors.y1.measures: is missing'),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import io
+import os
 import sys
 
 import numpy as np
 
-from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
 from vsensor_ros.plant import load_plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
@@ -21,20 +23,54 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('plant', metavar='PLANT', help='plant file (YAML)')
     parser.add_argument('-o', '--output', metavar='DESIGN', required=True,
                         help='design file to write (JSON)')
-    parser.add_argument('--fault-set', metavar='SENSOR', nargs='+', action='append',
-                        help='sensors that fail together; may be given several times '
-                        '(default: every single sensor)')
+    parser.add_argument('--fault-set', metavar='SENSORS', action='append',
+                        help='sensors that fail together, with commas between; may be given '
+                        'several times (default: every single sensor)')
     options = parser.parse_args(arguments)
     try:
-        result = design(load_plant(options.plant), options.fault_set)
+        _check_files(options.plant, options.output)
+        result = design(load_plant(options.plant), _fault_sets(options.fault_set))
         result.save(options.output)
+        _say(f'{report(result)}\n{len(result.virtual_sensors)} of {len(result.entries)} can be '
+             f'replaced; written to {options.output}')
     except BadInput as error:
         print(f'designer: {error}', file=sys.stderr)
         return 2
-    print(report(result))
-    print(f'{len(result.virtual_sensors)} of {len(result.entries)} can be replaced; '
-          f'written to {options.output}')
     return 0
+
+
+def _check_files(plant: str, output: str) -> None:
+    for what, path in (('PLANT', plant), ('-o', output)):
+        if not path:
+            raise BadInput(what, '', 'is empty', 'name a file')
+    try:
+        same = os.path.samefile(plant, output)
+    except (OSError, ValueError):  # not both are there; what is missing is said when it is opened
+        return
+    if same:
+        raise BadInput('-o', '', f'{output} is the plant file itself', 'name another file')
+
+
+def _fault_sets(texts: list[str] | None) -> list[list[str]] | None:
+    if texts is None:
+        return None
+    sets = [[name.strip() for name in text.split(',')] for text in texts]
+    if not all(name for names in sets for name in names):
+        raise BadInput('--fault-set', '', 'a name is empty', 'write it as --fault-set y1,y2')
+    return sets
+
+
+def _say(text: str) -> None:
+    """Print to a stdout that may be full, closed or ASCII only; BadInput when it cannot."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors='backslashreplace')  # a unit may be °C
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        # what is left in the buffer must not fail once more when Python ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise BadInput('stdout', '', f'cannot be written ({reason(error)})',
+                       'the design file is complete') from error
 
 
 def report(result: Design) -> str:

@@ -15,15 +15,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import yaml
 
-from vsensor_ros.bad_input import BadInput, shown
-from vsensor_ros.expression import fold, Node, Number, parse, substitute, to_text
+from vsensor_ros.bad_input import BadInput, check_text, reason, shown
+from vsensor_ros.expression import check_name, fold, Node, Number, parse, substitute, to_text
 from vsensor_ros.nonlinearity import argument_names, make_term
-from vsensor_ros.plant.plant import check_distinct, check_name, plain_name, Plant, suggestion
+from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
 from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
 
 LARGEST_FILE = 2**20    # bytes
@@ -33,7 +33,7 @@ _TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'distur
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses aliases (they can grow without bound) and repeated keys."""
+    """SafeLoader that refuses aliases (they can grow without bound), repeated keys, booleans."""
 
     where: object = ''
 
@@ -56,14 +56,21 @@ class _Loader(yaml.SafeLoader):
                 seen[key.value] = line
         return super().construct_mapping(node, deep)
 
+    def refuse_bool(self, node: yaml.ScalarNode) -> NoReturn:
+        raise BadInput(self.where, f'line {node.start_mark.line + 1}', f'YAML reads {node.value} '
+                       'as a truth value (so with on, off, yes, no)', f"write '{node.value}'")
+
+
+_Loader.add_constructor('tag:yaml.org,2002:bool', _Loader.refuse_bool)
+
 
 def _read(path: str | Path) -> Any:
     try:
         with open(path, 'rb') as file:
             data = file.read(LARGEST_FILE + 1)
     except (OSError, ValueError) as error:
-        reason = getattr(error, 'strerror', None) or str(error)
-        raise BadInput(path, '', f'cannot be read ({reason})', 'name a plant file') from None
+        raise BadInput(path, '', f'cannot be read ({reason(error)})',
+                       'name a plant file') from None
     if len(data) > LARGEST_FILE:
         raise BadInput(path, '', 'is larger than 1 MiB', 'name a plant file')
     try:
@@ -140,10 +147,7 @@ class _File:
                 value = {short: value}
             entries[name] = self.mapping(value, f'{key}.{name}', (*allowed, 'description'))
             for kind in ('unit', 'description'):
-                text = entries[name].get(kind, '')
-                if not isinstance(text, str) or not text.isprintable():
-                    raise self.fail(f'{key}.{name}.{kind}', f'{shown(text)} is not a text of '
-                                    'one line', 'put it in quotes')
+                check_text(entries[name].get(kind, ''), self.path, f'{key}.{name}.{kind}')
         return entries
 
     def number(self, value: Any, key: str) -> float:
@@ -173,16 +177,16 @@ class _File:
                             f'{shown(value)} is not understood',
                             'write continuous or {sample_time: seconds}')
         given = self.mapping(value, 'time', ('sample_time',))
-        seconds = self.number(given.get('sample_time'), 'time.sample_time')
+        seconds = self.number(self.required(given, 'sample_time', 'time', 'give seconds'),
+                              'time.sample_time')
         if seconds <= 0.0:
             raise self.fail('time.sample_time', f'{seconds:g} is not positive', 'give seconds')
         return seconds
 
     def plant(self) -> Plant:
         name = self.content.get('name')
-        if not isinstance(name, str) or not name or not name.isprintable():
-            raise self.fail('name', 'is missing' if name is None else
-                            f'{shown(name)} is not a name', 'write name: my_plant')
+        if name is None:
+            raise self.fail('name', 'is missing', 'write name: my_plant')
         if not isinstance(self.content.get('description', ''), str):
             raise self.fail('description', 'is not a text', 'put it in quotes')
         sample_time = self.sample_time()
@@ -329,6 +333,8 @@ class _File:
         if value is None and width:
             raise self.fail(key, 'is missing', f'give {height} rows of {width} numbers')
         rows = [[] for _ in range(height)] if value is None else value
+        if isinstance(rows, list) and not any(isinstance(row, list) for row in rows):
+            rows = [[v] for v in rows] if width == 1 else [rows]    # one column or row, flat
         if not isinstance(rows, list) or len(rows) != height or not all(
                 isinstance(row, list) and len(row) == width for row in rows):
             raise self.fail(key, f'is not {height} rows of {width} numbers',

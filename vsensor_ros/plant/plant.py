@@ -6,16 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
 import hashlib
-import keyword
 import re
 from typing import Any
 
 import numpy as np
 
-from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.expression import (
     Apply,
-    CONSTANTS,
+    check_name,
     Name,
     negate,
     Node,
@@ -26,14 +25,13 @@ from vsensor_ros.expression import (
 )
 from vsensor_ros.nonlinearity import (
     argument_names,
-    CATALOGUE,
     check_term,
     evaluate,
     make_term,
     NonlinearTerm,
 )
 
-_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+LARGEST = 1e75    # of an entry: products of four must not overflow
 _ARGUMENT = re.compile(r'w[0-9]+')
 
 
@@ -88,6 +86,13 @@ class Plant:
         A is taken as it stands: no formal addend is moved into it. where: what error lines
         call the source. Raises BadInput.
         """
+        if not check_text(name, where, 'name'):
+            raise BadInput(where, 'name', 'is empty', 'give the plant a name')
+        for key, mapping in (('units', units), ('parameters', parameters)):
+            if not isinstance(mapping, Mapping | None):
+                raise BadInput(where, key, f'{shown(mapping)} is not a mapping',
+                               'give {name: value, ...}')
+        parameters = parameters or {}
         a = _matrix(A, where, 'A')
         n = len(a)
         if n == 0 or a.shape != (n, n):
@@ -105,7 +110,7 @@ class Plant:
         disturbance_names = _names(disturbances, 'rho', d.shape[1], where, 'disturbances')
         check_distinct(where, {'states': state_names, 'inputs': input_names,
                                'disturbances': disturbance_names,
-                               'parameters': tuple(parameters or ())})
+                               'parameters': tuple(parameters)})
         check_distinct(where, {'inputs': input_names, 'disturbances': disturbance_names,
                                'sensors': sensor_names})
         for text in input_names:
@@ -114,18 +119,21 @@ class Plant:
                                'nonlinearities (w = G x)', 'choose another name')
         rows, terms = _terms(G, nonlinearities, p, state_names, input_names, where)
         everything = (*state_names, *input_names, *sensor_names, *disturbance_names)
-        for known in units or {}:
+        units = {**dict.fromkeys(everything, ''), **(units or {})}
+        for known, unit in units.items():
             if known not in everything:
                 raise BadInput(where, 'units', f'unknown name {shown(known)}',
                                suggestion(known, everything))
+            check_text(unit, where, f'units.{known}')
         start = _vector(initial, np.zeros(n), where, 'initial')
         return cls(
-            name=str(name), states=state_names, inputs=input_names, sensors=sensor_names,
+            name=name, states=state_names, inputs=input_names, sensors=sensor_names,
             disturbances=disturbance_names, A=a, B=b, C=c, D=d, P=p, G=rows, terms=terms,
             sample_time=_sample_time(sample_time, where),
-            units={key: str((units or {}).get(key, '')) for key in everything},
-            initial=start, noise=_noise(noise, len(c), where),
-            parameters={key: float(value) for key, value in (parameters or {}).items()},
+            units=units, initial=start, noise=_noise(noise, len(c), where),
+            parameters=dict(zip(parameters, _vector(
+                list(parameters.values()), np.zeros(len(parameters)), where,
+                'parameters').tolist())),
             operating_point=_vector(operating_point, start, where, 'operating_point'),
             operating_input=_vector(operating_input, np.zeros(len(input_names)), where,
                                     'operating_input'))
@@ -171,17 +179,6 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
 
 
-def check_name(name: object, where: object, key: str) -> str:
-    """Return the name; raise BadInput unless it is an identifier the language can use."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise BadInput(where, key, f'{shown(name)} is not a name',
-                       'use letters, digits and _, beginning with a letter')
-    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS:
-        raise BadInput(where, key, f'{name} is a word of the expression language',
-                       f'choose another name, such as {name}_')
-    return name
-
-
 def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0) -> Node:
     """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
     total: Node | None = None
@@ -214,19 +211,20 @@ def _beside(values: Any, x: np.ndarray) -> np.ndarray:
     return values[:, np.newaxis] if values.ndim < x.ndim else values
 
 
-def _array(value: Any, where: object, key: str) -> np.ndarray:
+def _array(value: Any, where: object, key: str, unknown: bool = False) -> np.ndarray:
+    # a frozen copy; unknown: NaN is allowed
     try:
         array = np.asarray(value)
-        if np.iscomplexobj(array):
-            raise BadInput(where, key, 'is complex', 'give real numbers')
+        if array.dtype.kind not in 'biufO':    # texts, dates and complex numbers are none
+            raise TypeError(array.dtype)
         array = np.array(array, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, BadInput):
-            raise
-        raise BadInput(where, key, f'{shown(value)} is not a matrix of numbers',
+    except (TypeError, ValueError, OverflowError):
+        raise BadInput(where, key, f'{shown(value)} is not a matrix of real numbers',
                        'give rows of equal length') from None
-    if not np.isfinite(array).all():
+    if np.isinf(array).any() or (np.isnan(array).any() and not unknown):
         raise BadInput(where, key, 'holds NaN or infinity', 'give finite numbers')
+    if (abs(array) > LARGEST).any():
+        raise BadInput(where, key, f'holds a number beyond {LARGEST:g}', 'choose other units')
     array.flags.writeable = False
     return array
 
@@ -252,28 +250,19 @@ def _columns(value: Any, n: int, where: object, key: str) -> np.ndarray:
     return array
 
 
-def _vector(value: Any, default: np.ndarray, where: object, key: str) -> np.ndarray:
-    try:
-        array = np.array(default if value is None else value, dtype=float)
-    except (TypeError, ValueError):
-        raise BadInput(where, key, f'{shown(value)} is not a list of numbers',
-                       f'give {len(default)} numbers') from None
-    if array.shape != default.shape or not np.isfinite(array).all():
-        raise BadInput(where, key, f'{shown(value)} does not fit',
-                       f'give {len(default)} finite numbers')
-    array.flags.writeable = False
+def _vector(value: Any, default: np.ndarray, where: object, key: str,
+            unknown: bool = False) -> np.ndarray:
+    array = _array(default if value is None else value, where, key, unknown)
+    if array.shape != default.shape:
+        raise BadInput(where, key, f'{shown(value)} does not fit', f'give {len(default)} numbers')
     return array
 
 
 def _noise(value: Any, count: int, where: object) -> np.ndarray:
-    try:
-        array = np.array([np.nan] * count if value is None else value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.full(1 + count, np.nan)
-    if array.shape != (count,) or np.isinf(array).any() or (array < 0.0).any():
-        raise BadInput(where, 'noise', f'{shown(value)} does not fit',
+    array = _vector(value, np.full(count, np.nan), where, 'noise', unknown=True)
+    if (array < 0.0).any():
+        raise BadInput(where, 'noise', f'{shown(value)} is negative somewhere',
                        f'give {count} standard deviations, NaN where unknown')
-    array.flags.writeable = False
     return array
 
 
@@ -281,7 +270,7 @@ def _sample_time(value: Any, where: object) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) \
-            or not 0.0 < value < float('inf'):
+            or not 0.0 < value <= LARGEST:
         raise BadInput(where, 'sample_time', f'{shown(value)} is not a positive number',
                        'give seconds, or None for continuous time')
     return float(value)
@@ -291,7 +280,7 @@ def _names(given: Sequence[str] | None, letter: str, count: int, where: object,
            key: str) -> tuple[str, ...]:
     if given is None:
         return tuple(f'{letter}{i + 1}' for i in range(count))
-    names = (given,) if isinstance(given, str) else tuple(given)
+    names = tuple(_listed(given, where, key))
     if len(names) != count:
         raise BadInput(where, key, f'{len(names)} names for {count}', 'give one name each')
     for name in names:
@@ -300,6 +289,13 @@ def _names(given: Sequence[str] | None, letter: str, count: int, where: object,
         twice = next(name for name in names if names.count(name) > 1)
         raise BadInput(where, key, f'{twice} is named twice', 'name each once')
     return names
+
+
+def _listed(value: Any, where: object, key: str) -> list[Any]:
+    try:
+        return [value] if isinstance(value, (str, NonlinearTerm)) else list(value)
+    except TypeError:
+        raise BadInput(where, key, f'{shown(value)} is not a list', 'give a list') from None
 
 
 def check_distinct(where: object, groups: Mapping[str, Sequence[str]]) -> None:
@@ -316,9 +312,9 @@ def check_distinct(where: object, groups: Mapping[str, Sequence[str]]) -> None:
 def _terms(G: Any, nonlinearities: Sequence[str | NonlinearTerm] | None, p: np.ndarray,
            states: tuple[str, ...], inputs: tuple[str, ...],
            where: object) -> tuple[tuple[np.ndarray, ...], tuple[NonlinearTerm, ...]]:
-    texts = [nonlinearities] if isinstance(nonlinearities, str) else list(nonlinearities or ())
-    given = [] if G is None else list(G)
-    if len(texts) == 1 and given and np.ndim(given[0]) == 0:
+    texts = [] if nonlinearities is None else _listed(nonlinearities, where, 'nonlinearities')
+    given = [] if G is None else _listed(G, where, 'G')
+    if len(texts) == 1 and given and not np.iterable(given[0]):
         given = [given]    # one flat row for the only term
     q = p.shape[1]
     if not len(texts) == len(given) == q:
@@ -327,16 +323,15 @@ def _terms(G: Any, nonlinearities: Sequence[str | NonlinearTerm] | None, p: np.n
     rows, terms = [], []
     for i, (text, g) in enumerate(zip(texts, given)):
         key = f'nonlinearities[{i}]'
-        row = np.zeros((0, len(states))) if np.size(g) == 0 else g
-        row = _matrix(row, where, f'G[{i}]', row=True)
+        row = _array(g, where, f'G[{i}]')
+        row = _matrix(row if row.size else np.zeros((0, len(states))), where, f'G[{i}]', row=True)
         if row.shape[1] != len(states):
             raise BadInput(where, f'G[{i}]', f'has shape {row.shape}',
                            f'give rows of {len(states)} numbers')
         if isinstance(text, NonlinearTerm):
+            check_text(text.name, where, key)
+            _vector(text.slope, np.zeros(len(row)), where, f'{key}.slope')
             check_term(text, inputs, where, key)
-            if text.slope.shape != (len(row),):
-                raise BadInput(where, key, f'has {len(text.slope)} arguments but G {len(row)} '
-                               'rows', 'give as many')
             terms.append(text)
         else:
             bare = make_term(text, len(row), inputs, where, key)

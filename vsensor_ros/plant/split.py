@@ -91,7 +91,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
         place = f'{key}.{states[i]}'
         linear: dict[str, float] = {}
         nonlinear: list[tuple[float, Node]] = []
-        linear = _collect(fold(equation, where, place), 1.0, linear, nonlinear)
+        linear = _collect(_reduced(equation, where, place), 1.0, linear, nonlinear)
         A[i] = [linear.get(name, 0.0) for name in states]
         B[i] = [linear.get(name, 0.0) for name in inputs]
         D[i] = [linear.get(name, 0.0) for name in disturbances]
@@ -104,7 +104,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
                                    f'nonlinear addend {shown(to_text(core))}',
                                    'let it enter as an addend of its own')
             rows: list[np.ndarray] = []
-            text = to_text(fold(_lifted(core, states, inputs, rows), where, place))
+            text = to_text(_lifted(core, states, inputs, rows))
             G = np.array(rows).reshape(len(rows), n)
             _, column = cores.setdefault((text, G.tobytes()), (G, np.zeros(n)))
             column[i] += factor
@@ -116,6 +116,18 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
         terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
     return Split(A, B, D, np.array([c for _, _, c in kept]).reshape(len(kept), n).T,
                  tuple(G for _, G, _ in kept), tuple(terms))
+
+
+def _reduced(node: Node, where: object, key: str) -> Node:
+    # with a number for every part that depends on nothing, such as x - x + 4 or 0*sqrt(x)
+    if not isinstance(node, Apply):
+        return node
+    parts = tuple(_reduced(argument, where, key) for argument in node.arguments)
+    node = fold(Apply(node.function, parts), where, key)
+    form = affine(node)
+    if form is not None and set(form) <= {_OFFSET}:
+        return Number(form.get(_OFFSET, 0.0))
+    return node if _scaled(node)[0] else Number(0.0)
 
 
 def _collect(node: Node, factor: float, linear: dict[str, float],
@@ -192,7 +204,6 @@ def with_addends(split: Split, point: np.ndarray, inputs: Sequence[str],
     terms = []
     for term, G, column in zip(split.terms, split.G, split.P.T):
         slope = slope_at(term, G @ point, inputs, u)
-        slope.flags.writeable = False
         A += np.outer(column, slope @ G)
         terms.append(NonlinearTerm(term.name, term.text, slope))
     return Split(A, split.B, split.D, split.P, split.G, tuple(terms))
