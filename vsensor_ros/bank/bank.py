@@ -22,6 +22,7 @@ from vsensor_ros.expression import names, parse
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 _LONGEST = 1000  # steps: a clock that jumps further ahead restarts the bank
+_REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
 _LARGEST = 1e100  # a number beyond it is as good as infinite
 
 
@@ -64,7 +65,8 @@ class Bank:
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         self._max_age = max(round(min(max_age, 1e9) * 1e9), 3 * self.period)
-        self._span = 2 * self._max_age // self.period + 1  # steps that can be taken back
+        # steps that can be taken back; readings from before are as they were held
+        self._span = min(2 * self._max_age // self.period + 1, _LONGEST)
         self._entries = {(frozenset(e.fault_set), e.channel): e for e in design.entries.values()}
         kept = design.virtual_sensors
         self._row = {(frozenset(v.fault_set), v.channel): i for i, v in enumerate(kept)}
@@ -96,6 +98,7 @@ class Bank:
     def _restart(self) -> None:
         self._past: deque[_State] = deque()
         self._redo: int | None = None  # the last index that late data leaves as it was
+        self._credit = self._span  # steps that may be redone now
         self._seen: tuple[int, np.ndarray, np.ndarray] | None = None
         self._estimates: np.ndarray | None = None
 
@@ -160,11 +163,7 @@ class Bank:
         if self._past and last - self._past[-1].index > _LONGEST:
             self._restart()
             self.jumps['forwards'] += 1
-        if self._past and self._redo is not None and self._redo < self._past[-1].index:
-            self._seen = self._estimates = None
-            while len(self._past) > 1 and self._past[-1].index > self._redo:
-                self._past.pop()
-        self._redo = None
+        self._take_back(last)
         if self._past and self._past[-1].index >= last:
             return
         with np.errstate(all='ignore'):
@@ -182,6 +181,23 @@ class Bank:
             self._past.popleft()
         for samples in self._samples.values():
             samples.forget(self._at(self._past[0].index))
+
+    def _take_back(self, last: int) -> None:
+        """Drop the states that late data changes; wait with it when that is often and far."""
+        if not self._past or self._redo is None:
+            self._redo = None
+            return
+        newest = self._past[-1].index
+        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        steps = newest - max(self._redo, self._past[0].index)
+        if steps > self._credit:
+            return
+        self._redo = None
+        if steps > 0:
+            self._credit -= steps
+            self._seen = self._estimates = None
+            while self._past[-1].index > newest - steps:
+                self._past.pop()
 
     def estimate(self, fault_set: Iterable[str], channel: str) -> float | None:
         """Return what the failed sensor would say at `time`; None when there is no answer."""
