@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bad_input import BadInput
@@ -109,3 +110,23 @@ def test_a_set_of_fault_sets_gives_the_same_order_every_time():
 def test_a_plant_file_s_name_is_not_a_plant():
     with pytest.raises(BadInput, match='load_plant'):
         design('plant.yaml')
+
+
+def heat_rod():
+    """Return 20 cells in a row that exchange heat, measured at cells 1, 5 and 10."""
+    A = 0.04 * (np.eye(20, k=1) + np.eye(20, k=-1) - 2 * np.eye(20))
+    return Plant.from_matrices(A, np.eye(20)[:, :1], np.eye(20)[[0, 4, 9]])
+
+
+def test_a_copy_of_what_matters_serves_where_canonical_forms_do_not():
+    sensor = only(heat_rod(), ('y3',), 'y3')
+    assert sensor.order <= 15  # cells 6 to 20, driven by the one at cell 5
+    assert sensor.eigenvalues.real.max() < 0
+    assert sensor.noise_gain < 1.0
+
+
+def test_low_order_is_not_bought_with_noise():
+    rod = heat_rod()
+    sampled = Plant.from_matrices(expm(rod.A), rod.B, rod.C, sample_time=1.0)
+    quiet = only(rod, ('y3',), 'y3').noise_gain
+    assert only(sampled, ('y3',), 'y3').noise_gain < 200 * quiet

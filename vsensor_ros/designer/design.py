@@ -6,6 +6,8 @@ from collections.abc import Iterable, Set
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
+
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import search
 from vsensor_ros.designer.existence import examine, forced_closure, measured_signs
@@ -15,6 +17,7 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 METHODS = ('jordan', 'identification')
+TOO_NOISY = 100.0  # times the largest observer: a lower order is not worth it
 SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
 
@@ -89,13 +92,16 @@ def _least_order(problem: Problem, avoid: frozenset[int],
     found = search.static(problem)
     if found is not None:
         return found
+    reserve = search.largest(problem, existence.Phi) if method is None else []
+    bearable = TOO_NOISY * max((v.noise_gain for v in reserve), default=np.inf)
     for k in range(1, len(existence.Phi) + 1):
-        sensors = _of_order(problem, k, existence.forced, method)
+        sensors = [v for v in _of_order(problem, k, existence.forced, method)
+                   if v.noise_gain <= bearable]
         if sensors:
             return _reading_less(problem, search.choose(sensors), existence.forced, method)
-    sensors = search.largest(problem, existence.Phi) if method is None else []
-    if sensors:
-        return search.choose(sensors)
+        sensors = [sensor for sensor in reserve if sensor.order == k]
+        if sensors:
+            return search.choose(sensors)
     terms = ', '.join(t.name for t in problem.plant.terms)
     return Refusal(
         problem.channel, problem.fault_set,

@@ -51,10 +51,10 @@ def knows_arguments(problem: Problem, Phi: np.ndarray) -> bool:
     """Tell whether (E4) holds: the argument of every term that acts on z is known."""
     known = np.vstack([Phi, problem.C0])
     return all(in_row_space(known, g)
-               for g, acts in zip(problem.G, _acts(problem, Phi)) if acts)
+               for g, acts in zip(problem.G, acting(problem, Phi)) if acts)
 
 
-def _acts(problem: Problem, Phi: np.ndarray) -> np.ndarray:
+def acting(problem: Problem, Phi: np.ndarray) -> np.ndarray:
     """Tell for each nonlinear term whether it enters z = Phi x (q,)."""
     size = np.abs(Phi).max(initial=0.0)
     return np.abs(Phi @ problem.P).max(axis=0, initial=0.0) > 1e2 * RANK_TOLERANCE * size
@@ -81,7 +81,7 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
     if stays.any():
         return None
     Phi_scaled = candidate.Phi
-    acts = _acts(problem, Phi_scaled)
+    acts = acting(problem, Phi_scaled)
     known = np.vstack([Phi_scaled, problem.C0])
     k = len(Phi_scaled)
 

@@ -17,7 +17,15 @@ from scipy.optimize import minimize
 from scipy.signal import place_poles
 
 from vsensor_ros.designer.canonical import identification_rows, jordan_rows
-from vsensor_ros.designer.observer import build, Candidate, close_loop, decay, knows_arguments
+from vsensor_ros.designer.existence import unobservable
+from vsensor_ros.designer.observer import (
+    acting,
+    build,
+    Candidate,
+    close_loop,
+    decay,
+    knows_arguments,
+)
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.subspaces import (
     in_row_space,
@@ -217,10 +225,11 @@ def with_residual(problem: Problem, candidate: Candidate,
 
 def largest(problem: Problem, Phi: np.ndarray) -> list[VirtualSensor]:
     """
-    Return the observer of everything that can be known, reduced by what is measured.
+    Return observers of everything that can be known, less what is measured and what v needs not.
 
-    Exists whenever a virtual sensor does; the gain solves a Riccati equation. Phi (r, n) comes
-    from ``existence.examine``. Source: method 3.3 and 3.6.
+    One exists whenever a virtual sensor does. The gain is zero (a copy of the plant, if that is
+    stable) or solves a Riccati equation. Phi (r, n) comes from ``existence.examine``. Source:
+    method 3.3 and 3.6.
     """
     k = len(Phi)
     NJ = solve_left(np.vstack([Phi, problem.C0]), Phi @ problem.A)
@@ -231,32 +240,47 @@ def largest(problem: Problem, Phi: np.ndarray) -> list[VirtualSensor]:
     N12, N22 = E @ N @ X.T, X @ N @ X.T
     J1, J2 = E @ (N @ E.T @ R + J), X @ (N @ E.T @ R + J)
     candidates = []
-    for weight in (1e2, 1.0, 1e-2) if len(E) else (1.0,):
-        L = _riccati_gain(N22, N12, weight, problem.plant.sample_time)
-        if L is None:
-            continue
+    for L in _gains(N22, N12, problem.plant.sample_time):
         Phi_r = (X - L @ E) @ Phi
         N_r = N22 - L @ N12
-        known = np.vstack([Phi_r, problem.C0])
-        CQ = solve_left(known, problem.V)
-        candidates.append(Candidate(Phi_r, N_r, N_r @ L @ R + J2 - L @ J1,
-                                    CQ[:, :len(X)], CQ[:, len(X):]))
+        CQ = solve_left(np.vstack([Phi_r, problem.C0]), problem.V)
+        candidates.append(_needed(problem, Candidate(
+            Phi_r, N_r, N_r @ L @ R + J2 - L @ J1, CQ[:, :len(X)], CQ[:, len(X):])))
     return _built(problem, candidates, 'invariant subspace')
 
 
-def _riccati_gain(N22: np.ndarray, N12: np.ndarray, weight: float,
-                  sample_time: float | None) -> np.ndarray | None:
-    """Return the gain L that makes N22 - L N12 stable, quieter for a larger weight."""
+def _needed(problem: Problem, candidate: Candidate) -> Candidate:
+    """Keep of z what v, and the arguments of the terms that act on what is kept, depend on."""
+    N, k = candidate.N, len(candidate.N)
+    known = np.vstack([candidate.Phi, problem.C0])
+    wanted = candidate.Cv
+    while True:
+        W = left_kernel(unobservable(N, wanted))
+        Phi = W @ candidate.Phi
+        arguments = [solve_left(known, g)[:, :k]
+                     for g, acts in zip(problem.G, acting(problem, Phi)) if acts]
+        more = np.vstack([candidate.Cv, *arguments])
+        if len(more) == len(wanted):
+            return Candidate(Phi, W @ N @ W.T, W @ candidate.J, candidate.Cv @ W.T, candidate.Q)
+        wanted = more
+
+
+def _gains(N22: np.ndarray, N12: np.ndarray, sample_time: float | None) -> Iterator[np.ndarray]:
+    """Yield gains L for N22 - L N12: none at all, then stabilising ones, the quietest first."""
+    yield np.zeros((len(N22), len(N12)))
     if 0 in N12.shape:
-        return np.zeros((len(N22), len(N12)))
-    Qw, Rw = np.eye(len(N22)), weight * np.eye(len(N12))
-    try:
-        if sample_time is None:
-            return solve_continuous_are(N22.T, N12.T, Qw, Rw) @ N12.T / weight
-        X = solve_discrete_are(N22.T, N12.T, Qw, Rw)
-        return N22 @ X @ N12.T @ np.linalg.inv(N12 @ X @ N12.T + Rw)
-    except (np.linalg.LinAlgError, ValueError):  # a mode on the boundary of stability
-        return None
+        return
+    Qw = np.eye(len(N22))
+    for weight in (1e2, 1.0, 1e-2):
+        Rw = weight * np.eye(len(N12))
+        try:
+            if sample_time is None:
+                yield solve_continuous_are(N22.T, N12.T, Qw, Rw) @ N12.T / weight
+            else:
+                X = solve_discrete_are(N22.T, N12.T, Qw, Rw)
+                yield N22 @ X @ N12.T @ np.linalg.inv(N12 @ X @ N12.T + Rw)
+        except (np.linalg.LinAlgError, ValueError):  # a mode on the boundary of stability
+            return
 
 
 def _built(problem: Problem, candidates: Iterable[Candidate], method: str) -> list[VirtualSensor]:
