@@ -215,8 +215,8 @@ def with_residual(problem: Problem, candidate: Candidate,
     for spectrum in (spectra(problem, k) if eigenvalues is None else [eigenvalues]):
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter('ignore', UserWarning)  # what it misses is checked later
-                K = place_poles(candidate.N.T, C_.T, spectrum).gain_matrix.T
+                warnings.simplefilter('ignore', UserWarning)  # robust enough after a few sweeps
+                K = place_poles(candidate.N.T, C_.T, spectrum, maxiter=3).gain_matrix.T
         except (ValueError, np.linalg.LinAlgError):  # a mode that the residual does not show
             return
         yield Candidate(candidate.Phi, candidate.N - K @ C_, candidate.J + K @ R,
