@@ -127,6 +127,6 @@ def test_a_copy_of_what_matters_serves_where_canonical_forms_do_not():
 
 def test_low_order_is_not_bought_with_noise():
     rod = heat_rod()
-    sampled = Plant.from_matrices(expm(rod.A), rod.B, rod.C, sample_time=1.0)
+    sampled = Plant.from_matrices(expm(np.array(rod.A)), rod.B, rod.C, sample_time=1.0)
     quiet = only(rod, ('y3',), 'y3').noise_gain
     assert only(sampled, ('y3',), 'y3').noise_gain < 200 * quiet

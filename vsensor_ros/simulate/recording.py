@@ -60,7 +60,8 @@ def load_columns(path: Path, columns: dict[str, str]) -> dict[str, NDArray[np.fl
     """
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False, appendmat=False)
-    except (OSError, ValueError, TypeError, NotImplementedError, MatReadError) as error:
+    except (OSError, ValueError, TypeError, IndexError, NotImplementedError,
+            MatReadError) as error:
         raise BadInput(str(path), 'recording', f'cannot be read ({str(error)[:80]})',
                        'give a MATLAB file of version 7.2 or older') from None
     return {name: _column(content, place, str(path)) for name, place in columns.items()}
