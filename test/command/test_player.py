@@ -21,7 +21,8 @@ from rosgraph_msgs.msg import Clock
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.failover import reserved_domain
-from vsensor_ros.command.player import LATCHED, main, play, START_TOPIC
+from vsensor_ros.command.play import LATCHED, play, START_TOPIC
+from vsensor_ros.command.player import main
 from vsensor_ros.command.wiring import blank, read_wiring
 from vsensor_ros.node.accessor import get_stamp
 from vsensor_ros.simulate.fault import Channel, drop_out, freeze

@@ -5,8 +5,9 @@ from geometry_msgs.msg import Pose, PoseArray
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState, Imu, JointState, MultiDOFJointState, Range
-from std_msgs.msg import Float64, Float64MultiArray, Int8, UInt16
+from std_msgs.msg import Float64, Float64MultiArray, Int8, Int32MultiArray, UInt16
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node.accessor import (
@@ -63,17 +64,53 @@ def test_a_joint_is_found_wherever_it_stands():
         assert accessor.get(JointState(name=names, position=positions)) == 5.0
 
 
-@pytest.mark.parametrize('kind, path, message, reason', [
-    (JointState, 'position[elbow]', JointState(name=['a'], position=[1.0]), 'not in the message'),
-    (JointState, 'velocity[elbow]', joints(), 'too short'),
-    (JointState, 'position[elbow]', JointState(), 'not in the message'),
-    (Float64MultiArray, 'data[2]', Float64MultiArray(data=[1.0, 2.0]), 'too short'),
-    (PoseArray, 'poses[0].position.x', PoseArray(), 'not in the message'),
+@pytest.mark.parametrize('kind, path, message, reason, absent', [
+    (JointState, 'position[elbow]', JointState(name=['a'], position=[1.0]), 'not in the message',
+     True),
+    (JointState, 'velocity[elbow]', joints(), 'too short', False),
+    (JointState, 'position[elbow]', JointState(), 'not in the message', True),
+    (Float64MultiArray, 'data[2]', Float64MultiArray(data=[1.0, 2.0]), 'too short', False),
 ])
-def test_what_is_not_there_is_a_reason(kind, path, message, reason):
+def test_what_is_not_there_is_a_reason_and_gets_room(kind, path, message, reason, absent):
+    accessor = compile_accessor(kind, path)
+    assert reason in accessor.get(message)
+    assert accessor.absent(message) is absent
+    assert accessor.put(message, 1.0) is None
+    assert accessor.get(message) == 1.0 and not accessor.absent(message)
+
+
+@pytest.mark.parametrize('kind, path, message, reason', [
+    (PoseArray, 'poses[0].position.x', PoseArray(), 'not in the message'),
+    (Int32MultiArray, 'data[2]', Int32MultiArray(data=[1, 2]), 'too short'),
+])
+def test_room_that_cannot_be_made(kind, path, message, reason):
     accessor = compile_accessor(kind, path)
     assert reason in accessor.get(message)
     assert reason in accessor.put(message, 1.0)
+
+
+def test_room_beside_others():
+    message = JointState(name=['a', 'b'], position=[1.0, 2.0], effort=[3.0])
+    assert compile_accessor(JointState, 'position[c]').put(message, 9.0) is None
+    assert message.name == ['a', 'b', 'c'] and list(message.position) == [1.0, 2.0, 9.0]
+    assert not message.velocity and len(message.effort) == 3
+    assert message.effort[0] == 3.0 and all(math.isnan(e) for e in message.effort[1:])
+    assert compile_accessor(JointState, 'velocity[b]').put(message, 5.0) is None
+    assert math.isnan(message.velocity[0]) and list(message.velocity[1:]) == [5.0]
+    data = Float64MultiArray()
+    assert compile_accessor(Float64MultiArray, 'data[2]').put(data, 4.0) is None
+    assert math.isnan(data.data[0]) and len(data.data) == 3 and data.data[2] == 4.0
+    roundtrip = deserialize_message(serialize_message(message), JointState)
+    assert roundtrip.name == ['a', 'b', 'c'] and len(roundtrip.effort) == 3
+
+
+def test_what_a_float_holds_goes_back_as_it_was():
+    message = Range()
+    for value in (math.inf, -math.inf, np.float32(0.1)):
+        message.range = float(value)
+        accessor = compile_accessor(Range, 'range')
+        assert accessor.put(message, accessor.get(message)) is None
+        assert message.range == value
 
 
 def test_values_that_do_not_fit_are_a_reason():
@@ -102,6 +139,8 @@ def test_values_that_do_not_fit_are_a_reason():
     (JointState, 'position[-1]', 'indices begin at 0'),
     (JointState, 'name[0]', 'not a number'),
     (Imu, 'orientation_covariance[9]', 'indices are 0 to 8'),
+    (JointState, 'position[99999999999999999]', 'indices are 0 to 65535'),
+    (Float64MultiArray, 'data[65536]', 'indices are 0 to 65535'),
     (Float64MultiArray, 'data[elbow]', 'have no names'),
     (DiagnosticArray, 'status[0].level', 'not a number'),
     (BatteryState, 'present', 'not a number'),

@@ -22,6 +22,13 @@ def test_others_names_are_passed_over():
     assert said.faulty == frozenset() and not said.problems
 
 
+def test_names_that_are_no_sensors_on_a_topic_of_the_isolation():
+    statuses = [('Y1', ERROR), ('tank: y2', STALE), ('motor', OK), ('pump', WARN)]
+    said = from_statuses(statuses, SENSORS, frozenset({'y3'}), shared=False)
+    assert said.faulty == {'y3'} and len(said.problems) == 2
+    assert 'Y1' in said.problems[0] and 'tank: y2' in said.problems[1]
+
+
 def test_the_last_word_counts():
     said = from_statuses([('y1', ERROR), ('y1', OK)], SENSORS, frozenset())
     assert said.faulty == frozenset()
@@ -38,17 +45,18 @@ def test_text_is_the_complete_set():
     assert from_text('', SENSORS, frozenset({'y2'})).faulty == frozenset()
 
 
-def test_unknown_names_are_said_and_the_rest_honoured():
-    said = from_text('y1 elbow y22', SENSORS, frozenset())
-    assert said.faulty == {'y1'} and len(said.problems) == 2
+def test_unknown_names_are_said_and_remove_no_fault():
+    said = from_text('y1 elbow y22', SENSORS, frozenset({'y3'}))
+    assert said.faulty == {'y1', 'y3'} and len(said.problems) == 3
     assert any('did you mean y2' in p for p in said.problems)
+    assert from_text('["y3"]', SENSORS, frozenset({'y3'})).faulty == {'y3'}
 
 
 def test_an_unreasonable_text_changes_nothing():
     known = frozenset({'y2'})
     said = from_text('y1 ' * 10**5, SENSORS, known)
     assert said.faulty == known and said.problems
-    assert len(from_text('a b c d e f g h', SENSORS, known).problems) == 6
+    assert len(from_text('a b c d e f g h', SENSORS, known).problems) == 7
 
 
 @given(st.sets(st.sampled_from(SENSORS)), st.sets(st.sampled_from(SENSORS)))

@@ -1,8 +1,10 @@
+import os
+
 import pytest
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from vsensor_ros.node.parameters import check_files, read, Refused
+from vsensor_ros.node.parameters import check_addressed, check_files, read, Refused
 from vsensor_ros.node.replacer import make_node, Replacer
 
 
@@ -80,6 +82,14 @@ def test_parameters_are_described_and_fixed(start, parameters):
     ({'sensors.y1.type': 'os/msg/Path'}, 'no package of interfaces'),
     ({'sensors.y1.field': 'distance'}, 'its fields are header'),
     ({'design_file': None}, 'design_file: is missing'),
+    ({'isolation.topic': '/diagnostics', 'isolation.type': 'std_msgs/msg/String'},
+     'isolation.type: is std_msgs/msg/String, but /diagnostics carries'),
+    ({'sensors.y1.topic': '/diagnostics'}, 'according to ROS'),
+    ({'sensors.y1.topic': '/rosout'}, 'according to ROS'),
+    ({'commands.u1.topic': '/parameter_events'}, 'according to ROS'),
+    ({'commands.u1.topic': '/clock', 'use_sim_time': True}, 'but /clock carries rosgraph_msgs'),
+    ({'use_sim_time': 'yep'}, "use_sim_time: 'yep' is neither true nor false"),
+    ({'design_file': '/dev/null'}, '/dev/null: design file: is not a regular file'),
     ({'design_file': '/no/such/file'}, '/no/such/file: design file: cannot be read'),
 ])
 def test_refusals(start, parameters, changes, told):
@@ -117,14 +127,28 @@ def test_a_rate_that_does_not_suit_a_discrete_design(start, parameters, plan, tm
     ('replacer: {ros__parameters: {rate: []}}', 'rate: has no value'),
     ('replacer: [', 'is not YAML'),
     ('', 'has no value'),
-    ('a: &x {b: 1, b: 2}\nc: *x\n', 'stands there twice'),
-    ('a: &x {b: *x}\n', ''),
+    ('a: {ros__parameters: {isolation: {topic: /x}, isolation.topic: /y}}', 'isolation.topic: '
+     'stands there twice'),
+    ('a: {ros__parameters: {isolation.topic: /y, isolation: {type: b, topic: /x}}}',
+     'isolation.topic: stands there twice'),
+    ('a: {ros__parameters: {isolation.topic: /x, isolation: {type: b}}}', ''),
+    ('a: {ros__parameters: {b: &x {c: 1}, d: *x}}', 'd: is an alias'),
+    ('a: {ros__parameters: {b: &x 1, d: *x}}', 'd: is an alias'),
+    ('a: &x {b: *x}\n', 'a.b: is an alias'),
+    ('a: {ros__parameters: {b: [1.0, x]}}', 'b: is a list of other things'),
+    ('a: {ros__parameters: {b: [[1], [2]]}}', 'b: is a list of other things'),
+    ('a: {ros__parameters: {b: [1, 2]}}', ''),
+    ('a: {ros__parameters: {? [b, c] : 1}}', 'has a key that is no name'),
+    ('replacer: {rate: 1.0, max_age: 2.0}', 'replacer.rate: does not stand below ros__parameters'),
+    ('- 1\n- 2\n', 'parameter file: does not stand below ros__parameters'),
+    ('replacer', 'parameter file: does not stand below ros__parameters'),
+    ('robot: {replacer: {ros__parameters: {rate: 1.0}}}', ''),
 ])
 def test_parameter_files(tmp_path, text, told):
     path = tmp_path / 'replacer.yaml'
     path.write_text(text)
     if not told:
-        check_files(['--params-file', str(path)])  # ends
+        assert len(check_files(['--params-file', str(path)])) == 1
         return
     with pytest.raises(Refused) as raised:
         check_files(['--ros-args', '--params-file', str(path)])
@@ -134,6 +158,31 @@ def test_parameter_files(tmp_path, text, told):
 def test_a_parameter_file_that_is_not_there(tmp_path):
     with pytest.raises(Refused, match='cannot be read'):
         check_files(['--params-file', str(tmp_path / 'no.yaml')])
+    with pytest.raises(Refused, match='not a regular file'):
+        check_files(['--params-file', '/dev/null'])
+    os.mkfifo(tmp_path / 'pipe')
+    with pytest.raises(Refused, match='not a regular file'):
+        check_files(['--params-file', str(tmp_path / 'pipe')])
     with pytest.raises(Refused, match='not a text file'):
         (tmp_path / 'bytes').write_bytes(b'\xff\xfe\x00')
         check_files(['--params-file', str(tmp_path / 'bytes')])
+
+
+def test_a_parameter_file_for_another_node(start, parameters):
+    with pytest.raises(Refused) as raised:
+        check_addressed(start({}), ['replacr', '/robot/replacer'])
+    assert str(raised.value) == (
+        '/replacer: parameter file: is for replacr, /robot/replacer; it has nothing for '
+        '/replacer; begin it with replacer:')
+    check_addressed(start(parameters), ['replacer'])
+    check_addressed(start({}), [])
+
+
+def test_what_the_graph_refuses_is_one_line(start, parameters, monkeypatch):
+    def fail(*arguments):
+        raise RuntimeError('no room for a topic, at /publisher.c:1, at /topic.cpp:2')
+    monkeypatch.setattr('vsensor_ros.node.replacer.open_streams', fail)
+    with pytest.raises(Refused) as raised:
+        Replacer(start(parameters))
+    assert str(raised.value) == '/replacer: topics: no room for a topic; give the topics other ' \
+        'names'

@@ -106,6 +106,21 @@ def test_arguments_it_cannot_start_with(arguments, told):
     assert any(line.startswith(told) for line in ended.stderr.splitlines()), ended.stderr
 
 
+@pytest.mark.parametrize('missing', ['rclpy', 'diagnostic_msgs'])
+@pytest.mark.parametrize('command, arguments', [
+    ('replacer', ['--ros-args']), ('player', ['table.csv', 'wiring.yaml']), ('demo', [])])
+def test_no_ros(command, arguments, missing):
+    script = (f'import sys; sys.modules["{missing}"] = None; '
+              f'from vsensor_ros.command import {command}; '
+              f'sys.exit({command}.main({arguments}))')
+    ended = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                           timeout=60)
+    assert ended.returncode == 2
+    assert ended.stderr.count('\n') == 1 and ended.stderr.startswith(
+        f'{command}: ROS 2 is not found (')
+    assert 'source /opt/ros/jazzy/setup.bash' in ended.stderr
+
+
 def test_no_home(parameter_file, tmp_path):
     environment = {k: v for k, v in os.environ.items()
                    if k not in ('AMENT_PREFIX_PATH', 'ROS_LOG_DIR', 'ROS_HOME')}

@@ -14,7 +14,7 @@ import sys
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.interrupt import interrupt_once
-from vsensor_ros.command.replacer import prepare_environment
+from vsensor_ros.command.replacer import find_ros, prepare_environment
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,6 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     interrupt_once()
     prepare_environment()
     try:
+        if not find_ros('demo'):
+            return 2
         # imported here so that Ctrl-C while they load ends as quietly as any other
         from vsensor_ros.command.show import show_all
         return show_all(given.systems, given.output)

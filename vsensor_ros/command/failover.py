@@ -24,7 +24,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-from vsensor_ros.command.player import LATCHED, LATE_CODE, START_TOPIC, to_stamp
+from vsensor_ros.command.play import LATCHED, START_TOPIC, to_stamp
+from vsensor_ros.command.player import LATE_CODE
 from vsensor_ros.command.wiring import read_wiring, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp
 from vsensor_ros.simulate.judge import Heard

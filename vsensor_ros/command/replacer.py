@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 import os
 from pathlib import Path
 import signal
@@ -10,6 +11,8 @@ import tempfile
 from threading import Event
 
 USAGE = 'usage: replacer --ros-args --params-file replacer.yaml'
+ROS = ('rclpy', 'ament_index_python', 'builtin_interfaces.msg', 'diagnostic_msgs.msg',
+       'rcl_interfaces.msg', 'rosgraph_msgs.msg', 'std_msgs.msg')
 
 
 def prepare_environment() -> None:
@@ -21,6 +24,18 @@ def prepare_environment() -> None:
     log = next((p for p in (home / '.ros' / 'log', home / '.ros', home) if p.exists()), home)
     if not os.access(log, os.W_OK | os.X_OK):
         os.environ['ROS_LOG_DIR'] = tempfile.mkdtemp(prefix='ros_log_')
+
+
+def find_ros(command: str) -> bool:
+    """Tell whether what is needed of ROS can be loaded; if not, say so in one line on stderr."""
+    try:
+        for module in ROS:
+            import_module(module)
+    except ImportError as error:
+        print(f'{command}: ROS 2 is not found ({" ".join(str(error).split())}): source it (source '
+              '/opt/ros/jazzy/setup.bash), or pip install -r requirements.txt', file=sys.stderr)
+        return False
+    return True
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -38,6 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda *_: stop.set())
     prepare_environment()
     # loaded only now, so that a signal meanwhile ends it as quietly as any other
+    if not find_ros('replacer'):
+        return 2
     from vsensor_ros.node.replacer import start
     return start(arguments, stop)
 

@@ -2,12 +2,13 @@
 Numbers in and out of ROS messages: ``range``, ``pose.pose.position.x``, ``position[elbow]``.
 
 Everything about a message's type is settled once, at start; what can still go wrong with a single
-message (an array too short, a joint that is not there) is a reason, never an exception.
+message (an array too short, a joint that is not there) is a reason, never an exception. Writing
+makes room for what is missing where it can: a failed driver may leave its element out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 import difflib
 import importlib
@@ -21,6 +22,7 @@ from vsensor_ros.bad_input import BadInput
 
 INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's messages
 NAME_ARRAYS = ('name', 'joint_names')  # fields that give names to the arrays beside them
+LONGEST = 2**16  # elements of an array that a message is made room for; an index lies below
 LARGEST_FLOAT = {'float': 3.4028234663852886e38, 'double': math.inf}
 
 _TYPE = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
@@ -41,8 +43,8 @@ class Accessor:
     path: str  # as configured
     get: Callable[[Any], float | str]  # the number, or the reason why there is none
     put: Callable[[Any, float], str | None]  # None when written, or the reason why it was not
-    named: bool  # reached through a name array: a message may lack the name and be sound
-    holds_nan: bool  # False for integers
+    absent: Callable[[Any], bool]  # lacks the name of it; may be sound all the same
+    names: Callable[[Any], Collection[str]]  # those among which its name is, or should be
 
 
 def message_type(name: str, where: str = 'message type', key: str = 'type') -> Any:
@@ -107,7 +109,8 @@ def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'fie
                        'write it like range, pose.position.x, data[2] or position[elbow]')
     steps = [step.groups() for step in _STEP.finditer(path)]
     parent: Parent = _itself
-    named = False
+    absent: Callable[[Any], bool] = _never
+    names: Callable[[Any], Collection[str]] = _none
     for depth, (field, element) in enumerate(steps):
         fields = kind.get_fields_and_field_types()
         if field not in fields:
@@ -125,11 +128,15 @@ def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'fie
         index: _Index | None = None
         if array is not None:
             inner, size = array.groups()
-            index, by_name = _compile_index(
+            index, beside = _compile_index(
                 kind, fields, field, element, int(size or _ANY), where, key)
-            named = named or by_name
+            if beside is not None:
+                absent, names = _absence(absent, parent, index), _names(parent, beside)
         if depth == len(steps) - 1:
-            return _leaf(path, parent, field, index, inner, named, where, key)
+            room = None
+            if array is not None and array.re is _SEQUENCE and inner in LARGEST_FLOAT:
+                room = _Room(fields, field, element, beside)
+            return _leaf(path, parent, field, index, inner, room, absent, names, where, key)
         if '/' not in inner:
             raise BadInput(where, key, f'{field} of {_name(kind)} is a {inner}, which has no '
                            'fields', f'end the field at {field}')
@@ -145,6 +152,29 @@ def _itself(message: Any) -> Any:
     return message
 
 
+def _never(message: Any) -> bool:
+    return False
+
+
+def _none(message: Any) -> Collection[str]:
+    return ()
+
+
+def _names(parent: Parent, field: str) -> Callable[[Any], Collection[str]]:
+    def names(message: Any) -> Collection[str]:
+        holder = parent(message)
+        return () if holder is None else getattr(holder, field)
+    return names
+
+
+def _absence(before: Callable[[Any], bool], parent: Parent,
+             index: _Index) -> Callable[[Any], bool]:
+    def absent(message: Any) -> bool:
+        holder = parent(message)
+        return before(message) or (holder is not None and index(holder) < 0)
+    return absent
+
+
 def _name(kind: Any) -> str:
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
@@ -154,15 +184,16 @@ def _name_array(fields: dict[str, str]) -> str | None:
 
 
 def _compile_index(kind: Any, fields: dict[str, str], field: str, element: str, size: int,
-                   where: str, key: str) -> tuple[_Index, bool]:
-    """Return the function that finds the element, and whether it does so by name."""
-    if re.fullmatch(r'-?[0-9]{1,9}', element):
-        index = int(element)
+                   where: str, key: str) -> tuple[_Index, str | None]:
+    """Return the function that finds the element, and the field of names if it does by name."""
+    if re.fullmatch(r'-?[0-9]+', element):
+        index = int(element[:20])
+        size = min(size, LONGEST)
         if not 0 <= index < size:
-            raise BadInput(where, key, f'{field} of {_name(kind)} has no element {index}',
-                           f'its indices are 0 to {size - 1}' if size < _ANY else
+            raise BadInput(where, key, f'{field} of {_name(kind)} has no element {element:.20}',
+                           f'its indices are 0 to {size - 1}' if index >= 0 else
                            'indices begin at 0')
-        return lambda holder: index, False
+        return lambda holder: index, None
     names_field = _name_array(fields)
     if names_field is None:
         raise BadInput(where, key, f'the elements of {field} of {_name(kind)} have no names',
@@ -180,7 +211,7 @@ def _compile_index(kind: Any, fields: dict[str, str], field: str, element: str, 
             return -1
         return last
 
-    return find, True
+    return find, names_field
 
 
 def _descend(parent: Parent, field: str, index: _Index | None) -> Parent:
@@ -200,8 +231,40 @@ def _descend(parent: Parent, field: str, index: _Index | None) -> Parent:
     return element
 
 
+@dataclass(frozen=True)
+class _Room:
+    """How to make room for one element of an array of floats."""
+
+    fields: dict[str, str]
+    field: str
+    element: str
+    names: str | None  # the field of names, when the element is found by its name
+
+    def make(self, holder: Any) -> int:
+        """Lengthen the array with NaN, and those beside it when a name is added; return where."""
+        if self.names is None:
+            index = int(self.element)
+            grown = [self.field]
+        else:
+            names = getattr(holder, self.names)
+            if self.element not in names:
+                names.append(self.element)
+                grown = [f for f, kind in self.fields.items()  # an empty one means: not known
+                         if f != self.field and (m := _SEQUENCE.fullmatch(kind))
+                         and m[1] in LARGEST_FLOAT and len(getattr(holder, f))]
+            else:
+                grown = []
+            index = names.index(self.element)
+            grown.append(self.field)
+        for field in grown:
+            array = getattr(holder, field)
+            array.extend([math.nan] * (index + 1 - len(array)))
+        return index
+
+
 def _leaf(path: str, parent: Parent, field: str, index: _Index | None, kind: str,
-          named: bool, where: str, key: str) -> Accessor:
+          room: _Room | None, absent: Callable[[Any], bool],
+          names: Callable[[Any], Collection[str]], where: str, key: str) -> Accessor:
     convert = _conversion(kind)
     if convert is None:
         raise BadInput(where, key, f'{path} is a {kind}, not a number',
@@ -222,7 +285,7 @@ def _leaf(path: str, parent: Parent, field: str, index: _Index | None, kind: str
                 return f'{value:g} does not fit into {path} ({kind})'
             setattr(holder, field, converted)
             return None
-        return Accessor(path, get, put, named, kind in LARGEST_FLOAT)
+        return Accessor(path, get, put, absent, names)
 
     too_short = f'the array is too short for {path}'
 
@@ -236,18 +299,19 @@ def _leaf(path: str, parent: Parent, field: str, index: _Index | None, kind: str
 
     def put_element(message: Any, value: float) -> str | None:
         holder = parent(message)
-        i = -1 if holder is None else index(holder)
-        if i < 0:
+        if holder is None:
             return missing
-        array = getattr(holder, field)
-        if i >= len(array):
-            return too_short
         converted = convert(value)
         if converted is None:
             return f'{value:g} does not fit into {path} ({kind})'
-        array[i] = converted
+        i = index(holder)
+        if not 0 <= i < len(getattr(holder, field)):
+            if room is None:
+                return missing if i < 0 else too_short
+            i = room.make(holder)
+        getattr(holder, field)[i] = converted
         return None
-    return Accessor(path, get_element, put_element, named, kind in LARGEST_FLOAT)
+    return Accessor(path, get_element, put_element, absent, names)
 
 
 def _conversion(kind: str) -> Callable[[float], float | int | None] | None:
@@ -257,7 +321,7 @@ def _conversion(kind: str) -> Callable[[float], float | int | None] | None:
 
         def to_float(value: float) -> float | None:
             value = float(value)  # a numpy scalar is refused by the checks of the messages
-            return None if abs(value) > largest else value  # NaN passes
+            return None if largest < abs(value) < math.inf else value  # what was read passes
         return to_float
     match = _INTEGER.fullmatch(kind)
     if match is None:

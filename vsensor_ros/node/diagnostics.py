@@ -22,7 +22,7 @@ class Channel:
 
     name: str
     topic: str  # on which it goes out
-    source: str  # 'real', 'silent' (healthy, but nothing comes), 'virtual' or 'none'
+    source: str  # 'real', 'silent' (healthy, but not heard), 'virtual' or 'none'
     message: str  # what is, and what to do about it
     facts: Mapping[str, object]  # for people who look closer
 

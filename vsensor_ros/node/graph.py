@@ -27,6 +27,9 @@ def complaints(node: Node, ends: Iterable[End]) -> Iterator[str]:
             for other in publishers:
                 yield (f'{end.topic}: {_who(other)} publishes there too, on the output of this '
                        f'node; remap it, if it is the driver to {end.topic}_raw')
+            for other in ours[1:]:  # this node has one
+                yield (f'{end.topic}: another {_who(other)} publishes there too, on the output '
+                       'of this node; end it, unless it was killed just now')
             _, listeners = _split(node, node.get_subscriptions_info_by_topic(end.topic))
             for other in listeners:
                 yield from _mismatch(end, other, [(p, other) for p in ours])
@@ -37,7 +40,7 @@ def complaints(node: Node, ends: Iterable[End]) -> Iterator[str]:
 
 
 def _split(node: Node, endpoints: Iterable[Any]) -> tuple[list[Any], list[Any]]:
-    """Return our own endpoints and those of others."""
+    """Return the endpoints of nodes named as this one, and those of others."""
     own = (node.get_name(), node.get_namespace())
     ours: list[Any] = []
     others: list[Any] = []

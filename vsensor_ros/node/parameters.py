@@ -7,12 +7,13 @@ here, first. Every problem is found before any is reported.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
 from itertools import pairwise
 import math
 from pathlib import Path
+import stat
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -27,8 +28,11 @@ from vsensor_ros.virtual_sensor import Design
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 TEXT = 'std_msgs/msg/String'
+PARAMETERS = 'ros__parameters'  # the key in a parameter file below which they stand
 LARGEST_FILE = 2**20  # bytes of a parameter file
 ROS_OWN = ('use_sim_time', 'start_type_description_service')
+RESERVED = {'/diagnostics': DIAGNOSTICS, '/rosout': 'rcl_interfaces/msg/Log',
+            '/parameter_events': 'rcl_interfaces/msg/ParameterEvent'}
 
 
 class Refused(ValueError):
@@ -101,19 +105,25 @@ _GENERAL = {
 }
 
 
-def check_files(arguments: Sequence[str]) -> None:
+def check_files(arguments: Sequence[str]) -> list[str]:
     """
     Look through the parameter files named on a ROS command line before rcl reads them.
 
     rcl keeps one of two entries of the same name in silence and reports the rest with a location
-    in its own sources. Raises Refused.
+    in its own sources. Returns the names of the nodes that the files are for. Raises Refused.
     """
     problems = []
+    nodes: dict[str, None] = {}
     for flag, path in pairwise(arguments):
         if flag != '--params-file':
             continue
         try:
-            size = Path(path).stat().st_size
+            status = Path(path).stat()
+            size = status.st_size
+            if not stat.S_ISREG(status.st_mode):
+                problems.append(BadInput(path, 'parameter file', 'is not a regular file',
+                                         'name a YAML file'))
+                continue
             if size > LARGEST_FILE:
                 problems.append(BadInput(path, 'parameter file', f'has {size} bytes',
                                          f'at most {LARGEST_FILE} are read'))
@@ -135,33 +145,75 @@ def check_files(arguments: Sequence[str]) -> None:
             problems.append(BadInput(path, f'line {mark.line + 1}' if mark else 'parameter file',
                                      f'is not YAML ({problem})', 'mend the file'))
         else:
-            problems.extend(_check_tree(root, path, '', []))
+            found = _check_tree(root, path)
+            problems.extend(found)
+            nodes.update(dict.fromkeys(() if found else _nodes(root)))
     if problems:
         raise Refused(problems)
+    return list(nodes)
 
 
-def _check_tree(node: yaml.Node | None, path: str, place: str,
-                visited: list[yaml.Node]) -> list[BadInput]:
-    """Find names that stand there twice and values that are missing."""
-    if any(node is other for other in visited):
-        return []  # an alias: looked at already, or without end
+def check_addressed(node: Node, nodes: Sequence[str]) -> None:
+    """Raise Refused when there are parameter files, for these nodes, but none for this one."""
+    if nodes and not set(node.get_parameters_by_prefix('')) - set(ROS_OWN):
+        name = node.get_fully_qualified_name()
+        raise Refused([BadInput(name, 'parameter file', f'is for {", ".join(nodes)}; it has '
+                                f'nothing for {name}', f'begin it with {node.get_name()}:')])
+
+
+def _check_tree(root: yaml.Node | None, path: str) -> list[BadInput]:
+    """Find names that stand there twice, values that are missing, and what rcl cannot read."""
     problems: list[BadInput] = []
-    if not isinstance(node, yaml.MappingNode):
+    visited: set[int] = set()
+    leaves: set[str] = set()
+
+    def complain(key: str, problem: str, mend: str) -> None:
+        problems.append(BadInput(path, key or 'parameter file', problem, mend))
+
+    def walk(node: yaml.Node | None, place: str) -> None:
+        if id(node) in visited:
+            complain(place, 'is an alias, which ROS does not read', 'write it out')
+            return
+        visited.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            seen: set[str] = set()
+            for key, value in node.value:
+                if not isinstance(key, yaml.ScalarNode):
+                    complain(place, f'has a key that is no name (line {key.start_mark.line + 1})',
+                             'give names to values')
+                    continue
+                where = f'{place}.{key.value}' if place else key.value
+                if key.value in seen or where in leaves:
+                    complain(where, f'stands there twice (line {key.start_mark.line + 1})',
+                             'leave one out')
+                else:
+                    seen.add(key.value)
+                    walk(value, where)
+            return
+        leaves.add(place)
         if node is None or node.value == [] or node.tag.endswith(':null'):
-            problems.append(BadInput(path, place or 'parameter file', 'has no value',
-                                     'give it one, or leave the line out'))
-        return problems
-    visited.append(node)
-    seen: set[str] = set()
-    for key, value in node.value:
-        name = str(key.value)
-        where = f'{place}.{name}' if place else name
-        if name in seen:
-            problems.append(BadInput(path, where, f'stands there twice (line '
-                                     f'{key.start_mark.line + 1})', 'leave one out'))
-        seen.add(name)
-        problems.extend(_check_tree(value, path, where, visited))
+            complain(place, 'has no value', 'give it one, or leave the line out')
+        elif f'.{PARAMETERS}.' not in f'.{place}.':
+            if not problems:  # the first will do
+                complain(place, f'does not stand below {PARAMETERS}',
+                         f'begin with the name of the node, and below it {PARAMETERS}')
+        elif isinstance(node, yaml.SequenceNode) and (
+                len({item.tag for item in node.value}) > 1
+                or not isinstance(node.value[0], yaml.ScalarNode)):
+            complain(place, 'is a list of other things than values of one type',
+                     'give numbers, or texts')
+
+    walk(root, '')
     return problems
+
+
+def _nodes(root: yaml.Node | None, place: str = '') -> Iterator[str]:
+    """Yield the names of the nodes that a parameter file is for."""
+    for key, value in root.value if isinstance(root, yaml.MappingNode) else ():
+        if key.value == PARAMETERS:
+            yield place
+        else:
+            yield from _nodes(value, f'{place}/{key.value}' if place else key.value)
 
 
 def read(node: Node) -> Settings:
@@ -174,13 +226,17 @@ def read(node: Node) -> Settings:
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
              if name not in ROS_OWN}
     problems: list[BadInput] = []
+    sim_time = node.get_parameter('use_sim_time').value
+    if not isinstance(sim_time, bool):
+        problems.append(BadInput(where, 'use_sim_time', f'{sim_time!r:.80} is neither true nor '
+                                 'false', 'give one of them'))
 
     known = dict(_GENERAL)
     values = _check(known, given, where, problems)
     design = None
     if 'design_file' in values:
         try:
-            design = Design.load(values['design_file'])
+            design = Design.load(_regular(values['design_file']))
         except BadInput as problem:
             problems.append(problem)
     if design is not None:
@@ -199,7 +255,9 @@ def read(node: Node) -> Settings:
         commands = _commands(design, values, node, where, problems)
         problems.extend(_crossed(sensors, where))
     isolation = _resolve(node, values.get('isolation.topic'), where, 'isolation.topic', problems)
-    problems.extend(_two_types(sensors, commands, isolation, values.get('isolation.type'), where))
+    reserved = {**RESERVED, **({'/clock': 'rosgraph_msgs/msg/Clock'} if sim_time else {})}
+    problems.extend(_two_types(
+        sensors, commands, isolation, values.get('isolation.type'), where, reserved))
     if problems:
         raise Refused(problems)
     assert design is not None and isolation is not None
@@ -209,6 +267,13 @@ def read(node: Node) -> Settings:
             _declare(node, name, entry, values[name])
     return Settings(design, values['rate'], values['max_age'], values['without_estimate'],
                     isolation, values['isolation.type'], tuple(sensors), tuple(commands))
+
+
+def _regular(path: str) -> str:
+    if Path(path).exists() and not Path(path).is_file():  # reading a pipe would never end
+        raise BadInput(path, 'design file', 'is not a regular file',
+                       'name the file that the designer wrote')
+    return path
 
 
 def _named_parameters(design: Design) -> dict[str, _Known]:
@@ -348,9 +413,11 @@ def _crossed(sensors: Sequence[Sensor], where: str) -> list[BadInput]:
 
 
 def _two_types(sensors: Sequence[Sensor], commands: Sequence[Command], isolation: str | None,
-               isolation_type: str | None, where: str) -> list[BadInput]:
+               isolation_type: str | None, where: str,
+               reserved: Mapping[str, str]) -> list[BadInput]:
     """Find topics that were given with two types; the first one counts."""
-    types: dict[str | None, tuple[str, str | None]] = {}
+    types: dict[str | None, tuple[str, str | None]] = {
+        topic: ('ROS', kind) for topic, kind in reserved.items()}
     problems = []
     for topic, kind, key in (
             *((s.input, s.type, f'sensors.{s.name}.type') for s in sensors),

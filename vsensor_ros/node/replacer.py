@@ -32,7 +32,7 @@ from vsensor_ros.node import isolation
 from vsensor_ros.node.accessor import get_stamp, has_stamp
 from vsensor_ros.node.diagnostics import Channel, report
 from vsensor_ros.node.graph import complaints, End
-from vsensor_ros.node.parameters import check_files, DIAGNOSTICS, read, Refused
+from vsensor_ros.node.parameters import check_addressed, check_files, DIAGNOSTICS, read, Refused
 from vsensor_ros.node.topics import (
     Arrived,
     CLOCKS_APART,
@@ -53,6 +53,7 @@ SLACK = 0.25  # of a period that a tick waits for readings: a held one is a smal
 LOOK = 2.0  # s between two looks at the graph
 REPORT = 1.0  # s between two messages on /diagnostics when nothing changes
 QUIET = 5.0  # s between two log lines on the same subject
+SLOW = 3  # intervals longer than max_age in a row that make a slow sensor of a silent one
 UNREADABLE = 'bytes that are not a message of the type'
 GOES_OUT = {'stop': 'nothing goes out', 'hold': 'the last value goes out',
             'nan': 'NaN goes out', 'pass': 'the failed reading goes out'}
@@ -77,27 +78,39 @@ class Replacer:
         self.simulated = False  # that clock follows /clock
         self.ticked = 0  # ns, last time the bank was brought to
         self.overruns = 0  # ticks left out
-        self.silence = round(settings.max_age * 1e9)
+        self.silence = max(round(settings.max_age * 1e9), 3 * self.bank.period)
         self.held: dict[str, float] = {}  # by sensor: the last value worth holding
         self.why: dict[str, str] = {}  # by failed sensor: why it has no estimate
         self.counts: Counter[tuple[str, str]] = Counter()  # by channel and reason: not used
+        self.intervals: dict[str, tuple[int, int]] = {}  # by sensor: stamp, long ones in a row
         self.spoken: dict[object, float] = {}  # by subject: when it was last logged
+        self.slow: set[str] = set()  # sensors that were said to be
         self.shown: dict[str, str] = {}  # by sensor: the source last logged and reported
         self.reported = 0.0
 
-        group = Polled()
-        self.streams = open_streams(node, group, settings.sensors)
-        self.commands = [(c, subscribe(node, group, c.kind, c.topic, LISTEN), has_stamp(c.kind))
-                         for c in settings.commands]
         self.isolation_kind = DiagnosticArray if settings.isolation_type == DIAGNOSTICS else String
-        self.isolation = subscribe(
-            node, group, self.isolation_kind, settings.isolation_topic, LISTEN_RELIABLY)
-        self.diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        try:
+            self._open(Polled())
+        except RuntimeError as error:  # RCLError
+            problem = str(error).partition(', at ')[0]
+            raise Refused([BadInput(node.get_fully_qualified_name(), 'topics', problem,
+                                    'give the topics other names')]) from None
         self.ends = self._ends()
         node.create_timer(LOOK, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.seen: set[str] = set()  # what was said of the graph; the executor's own
         self.suspected: set[str] = set()  # and what was seen at the last look
         self._log_topics()
+
+    def _open(self, group: Polled) -> None:
+        node, settings = self.node, self.settings
+        self.streams = open_streams(
+            node, group, settings.sensors, self.silence,
+            lambda text: self._say(text, 'error', text))
+        self.commands = [(c, subscribe(node, group, c.kind, c.topic, LISTEN), has_stamp(c.kind))
+                         for c in settings.commands]
+        self.isolation = subscribe(
+            node, group, self.isolation_kind, settings.isolation_topic, LISTEN_RELIABLY)
+        self.diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     # ---------------------------------------------------------------------------- the loop
 
@@ -142,7 +155,8 @@ class Replacer:
             self.bank.advance(now)  # which resets it
             self.ticked = now
             for stream in self.streams:
-                stream.last_sent = stream.heard = None
+                stream.forget()
+            self.intervals.clear()
             self.now = now
         else:
             self.now = max(self.now, now)  # a clock being trimmed stands still for us
@@ -157,23 +171,26 @@ class Replacer:
                 said = isolation.Isolation(faulty, (UNREADABLE,))
             elif isinstance(message, DiagnosticArray):
                 said = isolation.from_statuses(
-                    ((s.name, s.level) for s in message.status), self.bank.sensors, faulty)
+                    ((s.name, s.level) for s in message.status), self.bank.sensors, faulty,
+                    self.isolation.topic_name == self.diagnostics.topic_name)
             else:
                 said = isolation.from_text(message.data, self.bank.sensors, faulty)
             faulty = said.faulty
-            for problem in said.problems:
-                self._say(problem, 'error', f'{self.settings.isolation_topic}: {problem}')
+            if said.problems:
+                self._say('isolation', 'error',
+                          f'{self.settings.isolation_topic}: {"; ".join(said.problems)}')
         if faulty == self.switch.faulty:
             return
         self.switch = self.switch.isolate(faulty, self.now)
         names = ', '.join(s for s in self.bank.sensors if s in faulty)
-        self.node.get_logger().info(f'faulty sensors: {names or "none"}')
+        self._say('faulty', 'info', f'faulty sensors: {names or "none"}')
         for stream in self.streams:
             self._replace(stream, self._state_time())  # now, if that tick has not gone out
 
     def _take_readings(self, stream: Stream, arrived: Arrived | None,
                        faulty: frozenset[str]) -> None:
         if arrived is None:
+            stream.lacks(UNREADABLE, self.now)
             self._count(stream.sensors[0].name, UNREADABLE)
             return
         problem = stream.accept(arrived, self.now, faulty)
@@ -181,7 +198,8 @@ class Replacer:
             self._count(stream.sensors[0].name, problem)
         for name, value in arrived.readings.items():
             if isinstance(value, str):
-                self._count(name, value)
+                if not arrived.foreign:
+                    self._count(name, value)
             elif name in faulty:
                 continue  # nothing that an isolated sensor says is worth reading
             elif self._feed(name, arrived.stamp, arrived.received, value):
@@ -207,7 +225,20 @@ class Replacer:
         reason = self.bank.take(name, stamp, value, self.now)
         if reason is not None:
             self._count(name, reason)
+        elif name in self.bank.sensors:
+            self._time(name, stamp)
         return reason is None
+
+    def _time(self, name: str, stamp: int) -> None:
+        """Say once when a sensor is slower than the silence that makes it invalid."""
+        last, row = self.intervals.get(name, (stamp, 0))
+        row = row + 1 if stamp - last > self.silence else 0
+        self.intervals[name] = stamp, row
+        if row == SLOW and name not in self.slow:
+            self.slow.add(name)
+            self.node.get_logger().warning(
+                f'{name}: its readings are {(stamp - last) * 1e-9:.3g} s apart, so between them '
+                f'it counts as silent after {self.silence * 1e-9:.3g} s; raise max_age')
 
     # ----------------------------------------------------------------------- what goes out
 
@@ -240,8 +271,9 @@ class Replacer:
     def _replace(self, stream: Stream, at: int) -> None:
         """Send what stands in for the failed channels of a stream at the time of the state."""
         values: dict[str, float] = {}
-        passing, stop = set(), False
+        passing, stopped = set(), {}
         action = self.settings.without_estimate
+        stream.problem = None
         for name in (s.name for s in stream.sensors if s.name in self.switch.faulty):
             decision = self.switch.decisions[name]
             estimate = None
@@ -261,15 +293,18 @@ class Replacer:
             elif act == 'pass':
                 passing.add(name)
             else:
-                stop = True
+                stopped[name] = f'{reason}; {GOES_OUT["nan"]}'  # if others are in the message
         stream.passing = frozenset(passing)
-        if stop or not values:
-            return  # those that all pass go out as they come in
-        silent = stream.heard is None or self.now - stream.heard > self.silence
-        problem = stream.replace(at, values, silent)
-        if problem is not None:
+        others = (s.name for s in stream.sensors if s.name not in {*values, *stopped})
+        if not (values or stopped) or at == 0 or \
+                not (values or any(stream.fresh(name, self.now) for name in others)):
+            return  # those that all pass go out as they come in; those that all stop, never
+        self.why.update(stopped)
+        values.update(dict.fromkeys(stopped, float('nan')))
+        stream.compose(at, values, self.now)
+        if stream.problem is not None:
             for name in values:
-                self.why[name] = f'{problem}; {GOES_OUT["stop"]}'
+                self.why[name] = f'{stream.problem}; {GOES_OUT["stop"]}'
 
     # ------------------------------------------------------------------- what is said of it
 
@@ -294,10 +329,11 @@ class Replacer:
                 log.info(text)
 
     def _source(self, stream: Stream, name: str) -> str:
-        if name not in self.switch.faulty:
-            fresh = stream.heard is not None and self.now - stream.heard <= self.silence
-            return 'real' if fresh else 'silent'
-        return 'none' if name in self.why else 'virtual'
+        if name in self.switch.faulty:
+            return 'none' if name in self.why else 'virtual'
+        if stream.why_silent(name, self.now) is not None:
+            return 'silent'
+        return 'real' if stream.problem is None else 'none'
 
     def _changed(self) -> bool:
         return any(self.shown.get(sensor.name) != self._source(stream, sensor.name)
@@ -327,23 +363,35 @@ class Replacer:
             facts['since [s]'] = f'{(self.now - since) * 1e-9:.1f}'
         facts.update({reason: count for (channel, reason), count in sorted(self.counts.items())
                       if channel == name})
+        facts['faulty sensors'] = fault_set or 'none'
+        facts.update({f'clock went {way}': count for way, count in self.bank.jumps.items()})
         if self.overruns:
             facts['ticks left out'] = self.overruns
         entry = self.settings.design.entries.get((decision.fault_set, name))
+        if isinstance(entry, VirtualSensor):
+            key = entry.fault_set, name
+            facts.update({'order': entry.order, 'method': entry.method,
+                          'restarts': self.bank.restarts[key]})
+            started = self.bank.started(*key)
+            if started is not None:
+                facts['running since [s]'] = f'{(self.now - started) * 1e-9:.1f}'
+            if outside := self.bank.outside_domain[key]:
+                facts['steps outside a domain'] = outside
         if source == 'real':
             message = 'real'
         elif source == 'silent':
-            message = f'nothing comes on {stream.sensors[0].input}; check the driver of {name}'
+            message = f'{stream.why_silent(name, self.now)}; check the driver of {name}'
         elif source == 'virtual' and isinstance(entry, VirtualSensor):
             message = (f'virtual, from {", ".join((*entry.reads, *entry.inputs)) or "nothing"}; '
                        f'repair {name}')
-            facts.update({'fault set': fault_set, 'order': entry.order, 'method': entry.method})
-            outside = self.bank.outside_domain[entry.fault_set, name]
-            if outside:
-                facts['steps outside a domain'] = outside
+        elif name not in self.switch.faulty:
+            message = f'healthy, but nothing goes out with it ({stream.problem}); repair ' \
+                f'{", ".join(s.name for s in stream.sensors if s.name in self.switch.faulty)}'
         else:
-            remedy = f'repair {name}' if isinstance(entry, VirtualSensor) else \
-                f'repair {name}, or make a design for {{{fault_set}}}'
+            exact = tuple(s for s in self.bank.sensors if s in self.switch.faulty)
+            remedy = f'repair {name}'
+            if (exact, name) not in self.settings.design.entries:
+                remedy += f', or make a design for {{{fault_set}}}'
             message = f'no valid source ({self.why.get(name, "")}); {remedy}'
         return Channel(name, topic, source, message, facts)
 
@@ -397,13 +445,14 @@ def start(arguments: Sequence[str], stop: Event) -> int:
     is one line on stderr for each problem.
     """
     try:
-        check_files(arguments)
+        addressed = check_files(arguments)
         try:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
             node = make_node()
         except (RuntimeError, ValueError) as error:  # what rcl raises, and rclpy for []
             raise Refused([BadInput('replacer', 'arguments', str(error),
                                     'correct the arguments after --ros-args')]) from None
+        check_addressed(node, addressed)
         replacer = Replacer(node)
         replacer.run(stop)
     except Refused as refused:
