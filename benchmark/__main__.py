@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 import json
 import os
@@ -13,7 +13,7 @@ from statistics import median
 import sys
 import time
 
-from benchmark import bank, healthy_path, isolation
+from benchmark import bank, designer, estimators, healthy_path, isolation
 from benchmark.load import KINDS, Load
 from benchmark.rig import set_up
 from benchmark.row import Row
@@ -24,6 +24,7 @@ SECONDS = 6.0  # of each process in the middle, each round
 ROUNDS = 5
 ISOLATIONS = 40
 TICKS = 1000
+PARTS = ('replacer', 'bank', 'estimators', 'designer')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,15 +32,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='python -m benchmark', description=__doc__)
     parser.add_argument('--message', choices=list(KINDS), default='JointState',
                         help='type of the messages (default: %(default)s, of 30 joints)')
+    parser.add_argument('--only', nargs='+', choices=PARTS, default=PARTS, metavar='PART',
+                        help=f'what to measure: {", ".join(PARTS)} (default: all)')
+    parser.add_argument('--states', nargs='+', type=int, default=designer.SIZES, metavar='N',
+                        help='sizes of the plants to design for (default: 20 50 100 200)')
     parser.add_argument('--output', type=Path, default=Path('build/benchmark.json'))
     given = parser.parse_args(arguments)
     began = time.monotonic()
     try:
-        rows, details = measure(Load(given.message))
+        rows, details = measure(Load(given.message), given.only, given.states)
     except KeyboardInterrupt:
         return 130
     except Failed as failed:
         print(f'\nbenchmark: {failed}', file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as missing:
+        if (missing.name or '').split('.')[0] not in ('control', 'filterpy'):
+            raise
+        print(f'\nbenchmark: {missing.name} is not installed: pip install control filterpy, or '
+              'choose other parts with --only', file=sys.stderr)
         return 2
     progress('')
     print(table(rows))
@@ -49,23 +60,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps({
         'machine': {'cores': os.cpu_count(), 'system': platform.platform(),
-                    'python': platform.python_version()},
+                    'python': platform.python_version(),
+                    'threads': os.environ.get('OPENBLAS_NUM_THREADS')},
         'rows': [{**asdict(row), 'ratio': row.ratio, 'missed': row.missed} for row in rows],
         **details,
     }, indent=1) + '\n', encoding='utf-8')
     return 1 if missed else 0
 
 
-def measure(load: Load) -> tuple[list[Row], dict[str, object]]:
-    """Run all measurements; return the comparisons, and what their medians were taken of."""
-    rows = bank.measure(TICKS, progress=progress)
-    with set_up(load) as rig:
-        legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
-        latencies = isolation.measure(rig, ISOLATIONS, progress)
-    relay_latency = 1e-6 * median(leg.p50 for leg in legs['relay'])
-    rows = [*healthy_path.rows(legs, load), *isolation.rows(latencies, relay_latency), *rows]
-    return rows, {'legs': {name: [asdict(leg) for leg in of] for name, of in legs.items()},
-                  'isolation_s': latencies}
+def measure(load: Load, only: Collection[str], states: Sequence[int],
+            ) -> tuple[list[Row], dict[str, object]]:
+    """Run the chosen parts; return the comparisons, and what their medians were taken of."""
+    rows: list[Row] = []
+    details: dict[str, object] = {}
+    ticks = bank.measure(TICKS, progress=progress) if 'bank' in only else []
+    if 'replacer' in only:
+        with set_up(load) as rig:
+            legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
+            latencies = isolation.measure(rig, ISOLATIONS, progress)
+        relay_latency = 1e-6 * median(leg.p50 for leg in legs['relay'])
+        rows += [*healthy_path.rows(legs, load), *isolation.rows(latencies, relay_latency)]
+        details = {'legs': {name: [asdict(leg) for leg in of] for name, of in legs.items()},
+                   'isolation_s': latencies}
+    rows += ticks
+    if 'estimators' in only:
+        rows += estimators.measure(progress)
+    if 'designer' in only:
+        rows += designer.measure(states, progress)
+    return rows, details
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -75,9 +97,9 @@ def table(rows: Sequence[Row]) -> str:
     for row in rows:
         if row.group != group:
             group = row.group
-            lines += ['', group, f'{"ours":>42}{"peer":>12}{"ratio":>9}']
+            lines += ['', group, f'{"ours":>42}{"peer":>9}{"ratio":>15}']
         bar = '' if row.bar is None else f'   <= {row.bar:g} {"MISSED" if row.missed else "held"}'
-        lines.append(f'  {row.what:<32}{figure(row.ours):>8} {figure(row.peer):>8} {row.unit:<2}'
+        lines.append(f'  {row.what:<32}{figure(row.ours):>8} {figure(row.peer):>8} {row.unit:<5}'
                      f'{row.ratio:>9.2f}{bar}')
     return '\n'.join(lines[1:])
 

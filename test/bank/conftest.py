@@ -16,7 +16,7 @@ SECOND = 1_000_000_000
 
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
                    z0=None, z0_gain=None, sample_time=None, fault_set=('y1',), healthy=('y2',),
-                   inputs=()):
+                   inputs=(), channel=None, rows=1, **more):
     """Fill in what a test does not care about."""
     N = np.array(N, dtype=float).reshape(len(N), len(N))
     k, q = len(N), len(texts)
@@ -27,18 +27,18 @@ def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None,
     terms = tuple(NonlinearTerm(text, text, np.array(s, dtype=float))
                   for text, s in zip(texts, slopes))
     return VirtualSensor(
-        fault_set[0], tuple(fault_set), tuple(healthy), tuple(inputs), np.eye(k), N,
+        channel or fault_set[0], tuple(fault_set), tuple(healthy), tuple(inputs), np.eye(k), N,
         wide(J, k, len(healthy)), wide(B, k, len(inputs)), wide(P, k, q),
-        wide(Cv if Cv is not None else np.eye(1, k), 1, k), wide(Q, 1, len(healthy)),
+        wide(Cv if Cv is not None else np.eye(rows, k), rows, k), wide(Q, rows, len(healthy)),
         tuple(wide(g, len(t.slope), k) for g, t in zip(Gz, terms)),
         tuple(wide(g, len(t.slope), len(healthy)) for g, t in zip(Gy, terms)), terms, sample_time,
         wide(z0, k), wide(z0_gain, k, len(healthy)), np.linalg.eigvals(N).astype(complex), 1.0,
-        'by hand')
+        'by hand', **more)
 
 
-def design(*sensors, names=('y1', 'y2'), inputs=()):
+def design(*sensors, names=('y1', 'y2'), inputs=(), wanted=()):
     return Design('test', '0', ('x1',), tuple(inputs), tuple(names), {}, sensors[0].sample_time,
-                  {(v.fault_set, v.channel): v for v in sensors})
+                  {(v.fault_set, v.channel): v for v in sensors}, wanted)
 
 
 def servo(lam, k7=-1.0, z0=-1.0):

@@ -1,19 +1,29 @@
 """What late data may cost: steps redone in the mean, and states kept."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
 
 MS = 10**6
 START = 10**12
 
 
-def make_bank(rate, max_age, monkeypatch):
-    """Return a bank for x' = -x + u with two sensors, and the count of its steps."""
-    plant = Plant.from_matrices([[-1, 1], [0, -2]], [0, 1], np.eye(2))
-    bank = Bank(design(plant), rate, max_age)
+@pytest.fixture(name='make_bank')
+def _make_bank(bench, monkeypatch):
+    """Return a function that makes a bank and the list that counts its steps."""
+    # x1' = -x1 + x2, x2' = -2 x2 + u, both measured; for y2, z = x2 - 8 x1
+    d = bench.design(
+        bench.virtual_sensor([[-1.0]], [[1.0]], inputs=('u1',)),
+        bench.virtual_sensor([[-10.0]], [[-72.0]], B=[[1.0]], Q=[[8.0]], fault_set=('y2',),
+                             healthy=('y1',), inputs=('u1',)), inputs=('u1',))
+    return partial(counting_bank, d, monkeypatch)
+
+
+def counting_bank(d, monkeypatch, rate, max_age):
+    bank = Bank(d, rate, max_age)
     counted = []
     step = bank._next
     monkeypatch.setattr(bank, '_next', lambda state: counted.append(1) or step(state))
@@ -31,17 +41,17 @@ def run(bank, ticks, late):
         bank.advance(START + k * period)
 
 
-def test_a_sensor_that_is_always_late_costs_a_bounded_number_of_steps(monkeypatch):
-    bank, counted = make_bank(1000.0, 0.5, monkeypatch)
+def test_a_sensor_that_is_always_late_costs_a_bounded_number_of_steps(make_bank):
+    bank, counted = make_bank(1000.0, 0.5)
     run(bank, 3000, late=400)
     assert len(counted) < 3000 * 5 + 1001
     assert bank.estimate(('y2',), 'y2') is not None  # which reads y1
 
 
 @pytest.mark.parametrize('late', [0, 3, 40])
-def test_late_readings_end_up_in_the_estimate_all_the_same(monkeypatch, late):
-    punctual, _ = make_bank(100.0, 2.0, monkeypatch)
-    delayed, _ = make_bank(100.0, 2.0, monkeypatch)
+def test_late_readings_end_up_in_the_estimate_all_the_same(make_bank, late):
+    punctual, _ = make_bank(100.0, 2.0)
+    delayed, _ = make_bank(100.0, 2.0)
     run(punctual, 600, late=0)
     run(delayed, 600, late=late)
     for k in range(600 - late, 600):  # what is missing arrives, then some ticks pass
@@ -55,8 +65,8 @@ def test_late_readings_end_up_in_the_estimate_all_the_same(monkeypatch, late):
         punctual.estimate(('y2',), 'y2'), rel=1e-12)
 
 
-def test_a_great_max_age_keeps_a_bounded_past(monkeypatch):
-    bank, counted = make_bank(1000.0, 86400.0, monkeypatch)
+def test_a_great_max_age_keeps_a_bounded_past(make_bank):
+    bank, counted = make_bank(1000.0, 86400.0)
     run(bank, 1500, late=0)
     assert len(bank._past) <= 1002
     # y1 is silent for five seconds, and its return does not redo all of them

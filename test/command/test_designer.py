@@ -1,14 +1,17 @@
 """The command designer: what it says, what it writes, and one line for what is wrong."""
 
+from dataclasses import replace
 import os
 from pathlib import Path
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from vsensor_ros.command.designer import main
-from vsensor_ros.virtual_sensor import Design, Refusal
+from vsensor_ros import design, load_plant, Plant
+from vsensor_ros.command.designer import main, report
+from vsensor_ros.virtual_sensor import Certificate, Design, Refusal
 
 CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
@@ -65,6 +68,16 @@ def test_fault_sets_are_lists_with_commas(tmp_path, capsys):
     (['{plant}', '-o', '{folder}/no/such/x'], 'cannot be written (No such file'),
     (['{plant}', '-o', '{folder}/a\0b'], 'cannot be written (embedded null byte)'),
     (['{plant}\0', '-o', '{out}'], 'cannot be read (embedded null byte)'),
+    (['{plant}', '-o', '{out}', '--prefer', 'loud'], "prefer: 'loud' is not a preference"),
+    (['{plant}', '-o', '{out}', '--method', 'guess'], "method: 'guess' is not a method"),
+    (['{plant}', '-o', '{out}', '--decay', '-1'], 'decay: -1.0 is not a rate'),
+    (['{plant}', '-o', '{out}', '--up-to', '0'], 'up_to: 0 is not a number of sensors'),
+    (['{plant}', '-o', '{out}', '--details', 'y9'], '--details: y9 is no fault set'),
+    (['{plant}', '-o', '{out}', '--details', 'y1,'], '--details: a name is empty'),
+    (['{plant}', '-o', '{out}', '--report', ''], '--report: is empty'),
+    (['{plant}', '-o', '{out}', '--report', '{plant}'], '--report: {plant} is the plant file'),
+    (['{plant}', '-o', '{out}', '--report', '{out}'], '--report: {out} is the design file'),
+    (['{plant}', '-o', '{out}', '--report', '{link}'], '--report: {link} is the plant file'),
 ])
 def test_bad_arguments_give_one_line(tmp_path, capsys, arguments, needle):
     names = {'plant': tmp_path / 'plant.yaml', 'link': tmp_path / 'link', 'folder': tmp_path,
@@ -88,7 +101,9 @@ def test_a_bad_plant_gives_one_line_and_leaves_the_old_design(tmp_path, capsys):
     assert path.read_text() == 'old'
 
 
-@pytest.mark.parametrize('arguments', [[], ['x'], ['x', '-o'], ['x', 'y', '-o', 'z']])
+@pytest.mark.parametrize('arguments', [
+    [], ['x'], ['x', '-o'], ['x', 'y', '-o', 'z'], ['x', '-o', 'z', '--up-to', 'many'],
+    ['x', '-o', 'z', '--up-to', '2', '--fault-set', 'y1'], ['x', '-o', 'z', '--decay', 'fast']])
 def test_usage(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
@@ -113,3 +128,181 @@ def test_a_stdout_that_is_full_closed_or_ascii(tmp_path, where, code, line):
     assert (done.returncode, done.stderr) == (code, line)
     assert Design.load(tmp_path / 'x').units['y3'] == '°C'
     assert ('y3 [\\xb0C]: can be replaced' in done.stdout) == (not where)
+
+
+def lines_of(said, start):
+    """Return the lines from the one that starts so to the next empty one, as words."""
+    lines = said.splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith(start))
+    end = next(i for i in range(at, len(lines) + 1) if i == len(lines) or not lines[i])
+    return [' '.join(line.split()) for line in lines[at + 1:end]]
+
+
+def chain(sensors=12):
+    """Return a row of tanks, each feeding the next; a leak acts on the fourth."""
+    n = sensors
+    A = np.diag(-np.linspace(1, 2, n)) + np.diag(np.ones(n - 1), -1)
+    return Plant.from_matrices(A, np.eye(n)[:, 0], np.eye(n), np.eye(n)[:, 3])
+
+
+def test_what_can_be_lost_comes_first():
+    said = report(design(chain(), up_to=2))
+    one, not_one, two, not_two = lines_of(said, 'Sensors that this plant can afford')
+    assert one == 'one 11 of 12: y1, y2, y3, y5, y6, y7, y8, y9, y10, y11, y12'
+    assert not_one == 'not y4'
+    assert two == 'two 55 of 66'
+    assert not_two == 'none that holds y4'
+
+
+@pytest.mark.parametrize('plant', sorted(CONFIG.glob('*/plant.yaml')), ids=lambda p: p.parent.name)
+def test_the_table_is_what_the_entries_say(plant):
+    result = design(load_plant(plant), up_to=3)
+    said = ' '.join(lines_of(report(result), 'Sensors that this plant can afford'))
+    for size, word in ((1, 'one'), (2, 'two'), (3, 'three')):
+        sets = [s for s in result.fault_sets if len(s) == size]
+        able = [s for s in sets
+                if not any(isinstance(result[s, channel], Refusal) for channel in s)]
+        named = ', '.join('+'.join(s) for s in able)
+        if sets and not able:
+            assert f'{word} none' in said
+        elif sets:
+            count = f'all {len(sets)}' if able == sets else f'{len(able)} of {len(sets)}'
+            assert f'{word} {count}: {named}' in said
+
+
+def test_a_block_says_what_the_design_says():
+    result = design(load_plant(CONFIG / 'three_tank' / 'plant.yaml'))
+    v = result['y1', 'y1']
+    ladder = (v.ladder[0], replace(v.ladder[0], order=5, noise=0.0125, decay=0.5))
+    certificate = Certificate('region', 0.11, 2.5, np.eye(v.order), (('level1 - level2', 0.1, 3),),
+                              (2.35, 0.25), 'it contracts')
+    v = replace(v, ladder=ladder, certificate=certificate,
+                proof=replace(v.proof, lower=1, doubts=('order 1: a close call',)))
+    text = report(replace(result, entries={(('y1',), 'y1'): v}))
+    block = lines_of(text, 'y1 [m]: can be replaced')
+    assert f'order {v.order} (the least is between 1 and {v.order})' in block
+    noise = next(line for line in block if line.startswith('noise error '))
+    assert f'{v.noise.error:.3g} m, {v.noise.ratio:.2f} x the floor' in noise
+    assert f'{v.noise.floor:.3g} m' in noise and noise.endswith('assumed noise')
+    slowest = -v.eigenvalues.real.max()
+    assert any(line.startswith(f'decay {slowest:.3g} 1/s ') for line in block)
+    assert f'ladder order {v.order}: noise error {ladder[0].noise:.3g} m, decay ' \
+           f'{ladder[0].decay:.3g} 1/s <- this one' in block
+    assert 'order 5: noise error 0.0125 m, decay 0.5 1/s' in block
+    assert 'stability certified only while 0.1 <= level1 - level2 <= 3: it contracts' in block
+    assert 'proved decay rate 0.11 1/s; readings wrong by 1 put it out by at most 2.5' in block
+    assert "the papers' Lipschitz condition fails: 2.35 is not below 0.25" in block
+    assert 'in doubt order 1: a close call' in block
+
+
+@pytest.mark.parametrize(('certificate', 'needle'), [
+    (None, 'not certified: judged by the linear part alone, without sign(velocity)'),
+    (Certificate('none', 0.0, np.inf, np.zeros((1, 1)), (), None, 'it drives the motion'),
+     'NOT CERTIFIED: it drives the motion'),
+    (Certificate('global', 1.25, np.inf, np.eye(1), (), (1.0, 2.0), 'friction only brakes'),
+     'certified everywhere: friction only brakes'),
+])
+def test_stability_is_never_silent(certificate, needle):
+    result = design(load_plant(SERVO), [('y2',)])
+    v = replace(result['y2', 'y2'], certificate=certificate)
+    assert f'stability {needle}' in lines_of(
+        report(replace(result, entries={(('y2',), 'y2'): v})), 'y2 [rad/s]: can')
+
+
+def test_many_eigenvalues_are_shortened():
+    result = design(load_plant(SERVO), [('y2',)])
+    v = result['y2', 'y2']
+    values = np.array([*-np.arange(1.0, 41), -0.5 + 2j, -0.5 - 2j])
+    text = report(replace(result, entries={(('y2',), 'y2'): replace(v, eigenvalues=values)}))
+    assert 'eigenvalues of N -0.5 +- 2i, -1, -2, -3, -4, .. 35 more .., -40' in lines_of(
+        text, 'y2 [rad/s]: can')
+
+
+def test_bounded_ones_and_alternatives(tmp_path, capsys):
+    plant = str(CONFIG / 'three_tank_discrete' / 'plant.yaml')
+    assert main([plant, '-o', str(tmp_path / 'x')]) == 0
+    refused = lines_of(capsys.readouterr().out, 'y1 [m]: cannot be replaced')
+    entry = Design.load(tmp_path / 'x')['y1', 'y1']
+    assert f'instead: {entry.alternative}' in refused
+
+    assert main([plant, '-o', str(tmp_path / 'x'), '--bounded']) == 0
+    said = capsys.readouterr().out
+    entry = Design.load(tmp_path / 'x')['y1', 'y1']
+    assert entry.grade == 'bounded'
+    block = lines_of(said, 'y1 [m]: can be replaced within a bound')
+    assert any(line.startswith('unknown inputs reach it: ')
+               and line.endswith(f' {entry.disturbance_gain:.3g} m') for line in block)
+    assert 'of these disturbed by unknown inputs, within a bound: y1' in said
+    assert '3 of 3 can be replaced, 1 of them within a bound only; written' in said
+
+
+def test_choices_reach_the_design(tmp_path, capsys):
+    path = tmp_path / 'x'
+    plant = load_plant(SERVO)
+    assert main([str(SERVO), '-o', str(path), '--up-to', '2', '--prefer', 'least', '--decay', '3',
+                 '--method', 'jordan']) == 0
+    written = Design.load(path)
+    wanted = design(plant, up_to=2, prefer='least', decay=3.0, method='jordan')
+    assert written.fault_sets == wanted.fault_sets
+    assert [(v.order, v.method) for v in written.virtual_sensors] == [
+        (v.order, v.method) for v in wanted.virtual_sensors]
+
+
+def test_of_many_only_those_asked_for_are_printed(tmp_path, capsys):
+    plant, path = tmp_path / 'plant.yaml', tmp_path / 'x'
+    states = [f'T{i}' for i in range(1, 13)]
+    plant.write_text('\n'.join([
+        'name: many', 'time: continuous', 'states:', *(f'  {s}: {{unit: K}}' for s in states),
+        'dynamics:', *(f'  {s}: -{i + 1}*{s}' for i, s in enumerate(states)),
+        'sensors:', *(f'  m{i + 1}: {{measures: {s}}}' for i, s in enumerate(states))]))
+    assert main([str(plant), '-o', str(path)]) == 0
+    said = capsys.readouterr().out
+    assert 'm1 [K]' not in said and 'one all 12: m1, m2,' in ' '.join(said.split())
+    assert '12 more not printed: ask with --details SENSORS or --details all' in said
+    assert main([str(plant), '-o', str(path), '--details', 'm7']) == 0
+    said = capsys.readouterr().out
+    assert 'm7 [K]: can be replaced' in said and 'm8 [K]' not in said
+    assert main([str(plant), '-o', str(path), '--details', 'all']) == 0
+    said = capsys.readouterr().out
+    assert said.count(' [K]: can be replaced') == 12 and 'more not printed' not in said
+
+
+def test_where_one_more_sensor_would_help(tmp_path, capsys):
+    plant, path = tmp_path / 'plant.yaml', str(tmp_path / 'x')
+    plant.write_text("""
+name: chain
+time: continuous
+states: {a: {unit: m}, b: {unit: m}, c: {unit: m}, alone: {unit: m}}
+disturbances: {leak: {unit: m/s}}
+dynamics: {a: leak - a, b: a - b, c: b - c, alone: -alone}
+sensors: {yb: {measures: b}, yc: {measures: c}}
+""")
+    assert main([str(plant), '-o', path, '--locate']) == 0
+    assert lines_of(capsys.readouterr().out, 'With one more sensor') == [
+        'a would let you lose yb']
+    assert main([str(plant), '-o', path, '--locate', '--up-to', '2']) == 0
+    assert lines_of(capsys.readouterr().out, 'With one more sensor') == [
+        'a would let you lose yb and replace yc when yb+yc failed (1 more in larger sets)']
+    assert main([str(SERVO), '-o', path, '--locate']) == 0
+    assert 'every state is measured already' in capsys.readouterr().out
+
+
+def run_with_stderr(stderr, *arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'vsensor_ros.command.designer', *arguments], stderr=stderr,
+        stdout=subprocess.DEVNULL, env={**os.environ, 'PYTHONPATH': str(CONFIG.parent)},
+        timeout=120)
+
+
+def test_progress_is_shown_on_a_terminal_only(tmp_path):
+    arguments = [str(SERVO), '-o', str(tmp_path / 'x')]
+    assert run_with_stderr(subprocess.PIPE, *arguments).stderr == b''
+    ours, theirs = os.openpty()
+    try:
+        assert run_with_stderr(theirs, *arguments).returncode == 0
+        shown = os.read(ours, 10000).decode()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert '\r\x1b[K1/3 y2 without y2' in shown
+    assert shown.endswith('\r\x1b[K')  # nothing is left of it

@@ -122,7 +122,7 @@ def test_a_copy_of_what_matters_serves_where_canonical_forms_do_not():
     sensor = only(heat_rod(), ('y3',), 'y3')
     assert sensor.order <= 15  # cells 6 to 20, driven by the one at cell 5
     assert sensor.eigenvalues.real.max() < 0
-    assert sensor.noise_gain < 1.0
+    assert sensor.noise_gain < 10.0
 
 
 def test_low_order_is_not_bought_with_noise():

@@ -29,6 +29,9 @@ def test_default_names():
     assert plant.disturbances == ('rho1',)
     assert plant.sample_time is None
     assert plant.terms == () and plant.P.shape == (3, 0)
+    assert plant.Cu.shape == (2, 2) and plant.Cd.shape == (2, 1)
+    assert not plant.Cu.any() and not plant.Cd.any() and np.isnan(plant.process_noise).all()
+    assert plant.ranges.tolist() == [[-np.inf, np.inf]] * 3
     assert np.isnan(plant.noise).all() and not plant.initial.any()
     assert plant.units == dict.fromkeys(('x1', 'x2', 'x3', 'u1', 'u2', 'y1', 'y2', 'rho1'), '')
 
@@ -68,12 +71,29 @@ def test_flat_columns_and_rows():
     assert plant.terms[0].name == 'sign(x2)'
 
 
+def test_what_sensors_read_directly_may_be_flat():
+    # an accelerometer: one row over the inputs, one column over the sensors
+    one = Plant.from_matrices(A, B, [0, 1, 0], [1, 0, 0], Cu=[3, 4], Cd=[5])
+    assert one.Cu.tolist() == [[3, 4]] and one.Cd.tolist() == [[5]]
+    two = Plant.from_matrices(A, [1, 0, 0], C, [1, 0, 0], Cu=[3, 4], Cd=[[5], [6]])
+    assert two.Cu.tolist() == [[3], [4]] and two.Cd.tolist() == [[5], [6]]
+    none = Plant.from_matrices(A, None, C, Cu=np.zeros((2, 0)))
+    assert none.Cu.shape == (2, 0) == none.Cd.shape
+
+
+def test_noise_and_ranges_of_the_states():
+    plant = tank(process_noise=[0.1, np.nan, 0.0], ranges=[[0, 10], [-np.inf, 3], [1, np.inf]])
+    assert plant.process_noise[0] == 0.1 and np.isnan(plant.process_noise[1])
+    assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3], [1, np.inf]]
+
+
 def test_arrays_are_copied_and_frozen():
     a = np.array(A)
     plant = Plant.from_matrices(a, B, C)
     a[0, 0] = 9.0
     assert plant.A[0, 0] == -1.0
-    for array in (plant.A, tank().terms[0].slope):
+    for array in (plant.A, plant.Cu, plant.Cd, plant.process_noise, plant.ranges,
+                  tank(Cu=np.ones((2, 2))).Cu, tank().terms[0].slope):
         with pytest.raises(ValueError, match='read-only'):
             array[:] = 9.0
 
@@ -87,6 +107,8 @@ def test_hash_depends_on_what_a_design_depends_on():
         tank(sample_time=1.0), tank(states=('a', 'b', 'c')), tank(sensors=('p', 'q')),
         tank(nonlinearities=['w1 - sqrt(w1)'] * 2 + ['w1']), tank(initial=[1, 0, 0]),
         tank(P=np.array(P) * (1 + 1e-15)), tank(G=-np.array(G)), tank(D=[1, 0, 0]),
+        tank(Cu=[[0, 0], [0, 1]]), tank(Cu=[[0, 1], [0, 0]]), tank(D=[1, 0, 0], Cd=[0, 1]),
+        tank(noise=[1, 2]), tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
         tank(nonlinearities=[NonlinearTerm('', 'w1 - sqrt(w1)', np.ones(1))] * 3)]
     assert len({first, *(plant.hash() for plant in changed)}) == 1 + len(changed)
 
@@ -157,6 +179,20 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'noise': ['a', 'b']}, 'noise: '),
     ({'noise': [1.0, np.inf]}, 'noise: holds'),
     ({'noise': [-1.0, 1.0]}, 'noise: [-1.0, 1.0] is negative somewhere'),
+    ({'Cu': [[1.0, 2.0]]}, 'Cu: has shape (1, 2); give one row of 2 numbers a sensor'),
+    ({'Cu': [1.0, 2.0]}, 'Cu: has shape (2,)'),
+    ({'Cu': 'text'}, "Cu: 'text' is not a matrix"),
+    ({'Cu': np.full((2, 2), np.nan)}, 'Cu: holds NaN or infinity'),
+    ({'Cd': [[1.0], [2.0]]}, 'Cd: has shape (2, 1); give one row of 0 numbers a sensor'),
+    ({'D': [1, 0, 0], 'Cd': [1e76, 0]}, 'Cd: holds a number beyond 1e+75'),
+    ({'process_noise': [1.0, 2.0]}, 'process_noise: [1.0, 2.0] does not fit; give 3 numbers'),
+    ({'process_noise': [1.0, -2.0, 0.0]}, 'process_noise: [1.0, -2.0, 0.0] is negative somewhere'),
+    ({'process_noise': [1.0, np.inf, 0.0]}, 'process_noise: holds NaN or infinity'),
+    ({'ranges': [0.0, 1.0]}, 'ranges: has shape (2,); give 3 rows of low and high'),
+    ({'ranges': [[0, 1], [1, 1], [0, 1]]}, 'a low that is not below its high'),
+    ({'ranges': [[0, 1], [np.inf, np.inf], [0, 1]]}, 'a low that is not below its high'),
+    ({'ranges': [[0, 1], [0, np.nan], [0, 1]]}, 'ranges: holds NaN'),
+    ({'ranges': [[0, 1], [0, 1e76], [0, 1]]}, 'ranges: holds a number beyond 1e+75'),
     ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),
 ])
 def test_bad_arrays_give_one_line(change, needle):

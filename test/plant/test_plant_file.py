@@ -163,6 +163,40 @@ def test_both_examples_of_the_documentation_are_one_plant(tmp_path):
     plants = [load_plant(written(tmp_path, each)) for each in (whole, other)]
     assert plants[0].hash() == plants[1].hash()
     assert plants[0].B.tolist() == [[0], [25]] and plants[0].noise[0] == 0.001
+    assert plants[0].Cu.tolist() == [[0], [0], [2]] and plants[0].process_noise[1] == 0.01
+    assert plants[0].ranges[1].tolist() == [-50, 50]
+
+
+def test_a_sensor_may_read_inputs_and_disturbances(tmp_path):
+    text = TANK.replace('measures: level1,', 'measures: b*u1/area - level1 + 3*(leak - u1),')
+    plant = load_plant(written(tmp_path, text))
+    assert plant.C.tolist() == [[-1, 0], [1, -2]]
+    assert plant.Cu.tolist() == [[-2.5], [0]] and plant.Cd.tolist() == [[3], [0]]
+    assert plant.units['y1'] == ''
+    alone = load_plant(written(tmp_path, TANK.replace('measures: level1,', 'measures: leak,')))
+    assert not alone.C[0].any() and alone.Cd.tolist() == [[1], [0]]
+    assert alone.units['y1'] == 'm/s'
+
+
+def test_direct_reading_as_matrices(tmp_path):
+    text = ARRAYS.replace('inputs: {u1: {}}', 'inputs: {u1: {}}\ndisturbances: {rho: {}, tau: {}}')
+    text = text.replace('  P:', '  D: [[1, 0], [0, 0]]\n  Cu: [b]\n  Cd: [0, 2*b]\n  P:')
+    plant = load_plant(written(tmp_path, text))
+    assert plant.Cu.tolist() == [[0.5]] and plant.Cd.tolist() == [[0, 1]]
+    by_name = load_plant(written(tmp_path, text.replace('C: [[1, 0]]', '').replace(
+        'Cu: [b]', '').replace('Cd: [0, 2*b]', '').replace(
+        '{y1: {}}', '{y1: b*(2*level1 + u1 + 2*tau)}')))
+    assert by_name.hash() == plant.hash()
+
+
+def test_noise_and_range_of_a_state(tmp_path):
+    text = TANK.replace('initial: 2.0', 'initial: 2.0, process_noise: b/100, range: [0, 5*b]'
+                        ).replace('initial: 1.0', 'range: [null, 3]')
+    plant = load_plant(written(tmp_path, text))
+    assert plant.process_noise[0] == 0.02 and np.isnan(plant.process_noise[1])
+    assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3]]
+    plain = load_plant(written(tmp_path, TANK))
+    assert np.isnan(plain.process_noise).all() and np.isinf(plain.ranges).all()
 
 
 def test_a_state_called_on(tmp_path):
@@ -205,7 +239,19 @@ CHANGES = [
     ('measures: level1,', 'measures: level1 + 1,', 'has an offset'),
     ('measures: level1,', 'measures: b,', 'has an offset'),
     ('measures: level1,', 'measures: 0,', '0 holds no state'),
-    ('measures: level1,', 'measures: u1,', "sensors.y1.measures: unknown name 'u1'"),
+    ('measures: level1,', 'measures: u9,', "sensors.y1.measures: unknown name 'u9'"),
+    ('measures: level1,', 'measures: level1*u1,', 'is not linear in the states, inputs, dist'),
+    ('measures: level1,', 'measures: u1 - u1,', 'holds no state, input, disturbance'),
+    ('initial: 2.0', 'process_noise: -1', 'states.level1.process_noise: -1 is negative'),
+    ('initial: 2.0', 'process_noise: .inf', 'states.level1.process_noise: inf is not finite'),
+    ('initial: 2.0', 'process_noise: level2', "process_noise: unknown name 'level2'"),
+    ('initial: 2.0', 'range: 3', 'states.level1.range: 3 is not two numbers; write [low, high]'),
+    ('initial: 2.0', 'range: [1, 2, 3]', 'states.level1.range: [1, 2, 3] is not two numbers'),
+    ('initial: 2.0', 'range: null', 'states.level1.range: None is not two numbers'),
+    ('initial: 2.0', 'range: [b, 2]', 'states.level1.range: 2 is not below 2'),
+    ('initial: 2.0', 'range: [.nan, 2]', 'states.level1.range: nan is not finite'),
+    ('initial: 2.0', 'range: [0, 1e76]', 'ranges: holds a number beyond 1e+75'),
+    ('unit: m^3/s,', 'range: [0, 1],', "inputs.u1: unknown key 'range'"),
     ('measures: level1,', '', 'sensors.y1.measures: is missing; say which state'),
     ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
     ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),
@@ -280,6 +326,10 @@ def refused(path, needle):
     ('B: [[1], [0]]', 'B: 5', 'matrices.B: is not 2 rows of 1 numbers'),
     ('C: [[1, 0]]', 'C: [[1]]', 'matrices.C: is not 1 rows of 2 numbers'),
     ('C: [[1, 0]]', '', 'sensors.y1.measures: is missing'),
+    ('C: [[1, 0]]', 'Cu: [[1]]', 'matrices.C: is missing'),
+    ('C: [[1, 0]]', 'C: [[1, 0]]\n  Cu: [[1, 0]]', 'matrices.Cu: is not 1 rows of 1 numbers'),
+    ('C: [[1, 0]]', 'C: [[1, 0]]\n  Cd: [[1]]', 'matrices.Cd: is not 1 rows of 0 numbers'),
+    ('C: [[1, 0]]', 'C: [[1, 0]]\n  Cu: [[w]]', "matrices.Cu[0][0]: unknown name 'w'"),
     ('P: [[-1], [b]]', '', 'matrices.P: is missing'),
     ('{y1: {}}', '{y1: level1}', 'sensors.y1.measures: stands beside matrices.C'),
     ('{y1: {}}', '{}', 'sensors: is missing or empty'),

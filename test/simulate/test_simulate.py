@@ -8,6 +8,7 @@ import pytest
 
 from vsensor_ros import load_plant, Plant
 from vsensor_ros.simulate import simulate
+from vsensor_ros.simulate.simulate import readings
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test' / 'reference.json').read_text())
@@ -40,6 +41,23 @@ def test_inputs_are_held_between_their_times():
     for step, held in zip(np.diff(t), u[:, 0]):
         x.append(held / 2 + (x[-1] - held / 2) * np.exp(-2 * step))
     np.testing.assert_allclose(simulate(plant, t, u, x0=[0.5])[:, 0], x, rtol=1e-9)
+
+
+def test_an_accelerometer_reads_the_force_and_the_unknown_one():
+    # a mass on a spring, v' = -4 p + 2 u + rho, is measured as it is; from rest, u = rho = 1
+    plant = Plant.from_matrices([[0, 1], [-4, 0]], [0, 2], [[-4, 0], [1, 0]], [0, 1],
+                                Cu=[[2], [0]], Cd=[[1], [0]])
+    t = np.linspace(0.0, 3.0, 31)
+    x = simulate(plant, t, np.ones((31, 1)), lambda t: [1.0])
+    y = readings(plant, t, x, np.ones((31, 1)), lambda t: [1.0])
+    np.testing.assert_allclose(y[:, 0], 3 * np.cos(2 * t), atol=1e-8)
+    np.testing.assert_allclose(y[:, 1], 0.75 * (1 - np.cos(2 * t)), atol=1e-8)
+    # a command is read from the time on at which it begins; no input is zero
+    u = (t > 1.0)[:, None] * 5.0
+    np.testing.assert_allclose(readings(plant, t, 0 * x, u)[:, 0], 10.0 * (t > 1.0))
+    np.testing.assert_allclose(readings(plant, t, x), x @ plant.C.T)
+    with pytest.raises(ValueError, match='inputs must have shape'):
+        readings(plant, t, x, np.ones((31, 2)))
 
 
 def test_a_block_with_coulomb_friction_stops_and_stays():

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from vsensor_ros.bank.readings import Samples
-from vsensor_ros.bank.step import make_step, pad, widen
+from vsensor_ros.bank.step import make_step, NOTHING, pad, widen
 from vsensor_ros.expression import names, parse
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
@@ -45,6 +45,9 @@ class Bank:
     t_0 is the stamp of the first thing taken. A virtual sensor starts, from its initial state,
     at the first grid time at which all that it needs is there, and stops when a reading that it
     needs is older than max_age; it starts anew when that reading is back.
+
+    Wanted functionals of one row are stepped, too: ``estimate((), 'v')``. Those of several rows
+    are left out.
     """
 
     def __init__(self, design: Design, rate: float, max_age: float = 0.5) -> None:
@@ -68,7 +71,7 @@ class Bank:
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * self._max_age // self.period + 1, _LONGEST)
         self._entries = {(frozenset(e.fault_set), e.channel): e for e in design.entries.values()}
-        kept = design.virtual_sensors
+        kept = [v for v in design.virtual_sensors if len(v.Cv) == 1]
         self._row = {(frozenset(v.fault_set), v.channel): i for i, v in enumerate(kept)}
         self._keys = [(v.fault_set, v.channel) for v in kept]
         self._step = make_step(kept, self.sensors, self.period * 1e-9) if kept else None
@@ -79,6 +82,9 @@ class Bank:
         self._Q = pad([widen(v, self.sensors, v.Q[0]) for v in kept] + [np.zeros(L)])[:-1]
         self._z0_gain = pad([widen(v, self.sensors, v.z0_gain) for v in kept]
                             + [np.zeros((k, L))])[:-1]
+        # None where no virtual sensor reads a command directly: nothing is spent on it
+        direct = any(v.Qu.any() or any(v.Gu[i].any() for i in v.active) for v in kept)
+        self._Qu = np.array([v.Qu[0] for v in kept]) if direct else None
         # over readings, then commands: what each needs to run, and what it needs to start
         self._runs_on = np.array([_needs(v, self.sensors) for v in kept], dtype=bool).reshape(
             len(kept), L + len(self.inputs))
@@ -99,7 +105,7 @@ class Bank:
         self._past: deque[_State] = deque()
         self._redo: int | None = None  # the last index that late data leaves as it was
         self._credit = self._span  # steps that may be redone now
-        self._seen: tuple[int, np.ndarray, np.ndarray] | None = None
+        self._seen: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
         self._estimates: np.ndarray | None = None
 
     @property
@@ -206,9 +212,11 @@ class Bank:
             return None
         if self._estimates is None:
             state = self._past[-1]
+            y, _, u = self._inputs_at(state.index)
             with np.errstate(all='ignore'):
-                self._estimates = ((self._Cv * state.z).sum(axis=1)
-                                   + self._Q @ self._inputs_at(state.index)[0])
+                self._estimates = (self._Cv * state.z).sum(axis=1) + self._Q @ y
+                if self._Qu is not None:
+                    self._estimates += self._Qu @ u
         value = float(self._estimates[row])
         return value if math.isfinite(value) else None
 
@@ -223,9 +231,12 @@ class Bank:
         """Return in words why there is no estimate, or None when there is one."""
         entry = self._entries.get((frozenset(fault_set), channel))
         if entry is None:
-            return f'no design for {channel} when {", ".join(sorted(fault_set))} failed'
+            failed = ', '.join(sorted(fault_set)) or 'nothing'
+            return f'no design for {channel} when {failed} failed'
         if isinstance(entry, Refusal):
             return entry.reason
+        if len(entry.Cv) > 1:
+            return f'{channel} has {len(entry.Cv)} rows; design one for each'
         if self.estimate(entry.fault_set, channel) is not None:
             return None
         row = self._row[frozenset(entry.fault_set), channel]
@@ -269,16 +280,21 @@ class Bank:
                 samples.values.pop()
                 self.refused[name, 'stamp ahead of the clock'] += 1
 
-    def _inputs_at(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the readings (L,), 0 where there is none, and what is there (L + m,)."""
+    def _inputs_at(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return the readings (L,), 0 where there is none, and what is there (L + m,).
+
+        And the commands that hold from then on (m,), or (0,) when nothing reads them directly.
+        """
         if self._seen is None or self._seen[0] != index:
             time = self._at(index)
             values = [self._samples[name].interpolated(time, self._max_age)
                       for name in self.sensors]
-            there = [v is not None for v in values]
-            there += [self._samples[name].held(time) is not None for name in self.inputs]
-            self._seen = (index, np.array([v or 0.0 for v in values]), np.array(there, dtype=bool))
-        return self._seen[1], self._seen[2]
+            held = [self._samples[name].held(time) for name in self.inputs]
+            there = [v is not None for v in (*values, *held)]
+            self._seen = (index, np.array([v or 0.0 for v in values]), np.array(there, dtype=bool),
+                          NOTHING if self._Qu is None else np.array([v or 0.0 for v in held]))
+        return self._seen[1:]
 
     def _first(self, index: int) -> _State:
         V = len(self._keys)
@@ -288,7 +304,7 @@ class Bank:
 
     def _start(self, state: _State) -> _State:
         """Start every virtual sensor that does not run and could."""
-        y, there = self._inputs_at(state.index)
+        y, there, _ = self._inputs_at(state.index)
         new = ~state.running & ~(self._starts_on & ~there).any(axis=1)
         if not new.any():
             return state
@@ -302,14 +318,14 @@ class Bank:
         """Step to the next grid time."""
         z, index = state.z, state.index + 1
         running, restarts, outside = state.running, state.restarts, state.outside
-        y0, _ = self._inputs_at(state.index)
-        y1, there = self._inputs_at(index)
+        y0, _, held0 = self._inputs_at(state.index)
+        y1, there, held1 = self._inputs_at(index)
         broken = None
         if self._step is not None and running.any():
             t0, t1 = self._at(state.index), self._at(index)
             commands = [self._samples[name].over(t0, t1) for name in self.inputs]
             u0, u1, u = np.array(commands).reshape(-1, 3).T
-            z, out = self._step(z, y0, y1, u0, u1, u)
+            z, out = self._step(z, y0, y1, u0, u1, u, held0, held1)
             if out.any():
                 outside = outside + (out & running)
             alive = running & ~(self._runs_on & ~there).any(axis=1)
@@ -330,5 +346,6 @@ class Bank:
 def _needs(v: VirtualSensor, sensors: Iterable[str]) -> list[bool]:
     """Tell which sensors, then which commands, v cannot run without."""
     used = {name for i in v.active for name in names(parse(v.terms[i].text))}
+    linear = np.vstack([v.B, v.Qu, *(v.Gu[i] for i in v.active)])
     return [name in v.reads for name in sensors] + [
-        bool(v.B[:, j].any()) or name in used for j, name in enumerate(v.inputs)]
+        bool(column.any()) or name in used for column, name in zip(linear.T, v.inputs)]

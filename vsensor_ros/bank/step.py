@@ -23,8 +23,10 @@ from vsensor_ros.nonlinearity import (
 from vsensor_ros.virtual_sensor import VirtualSensor
 
 # Takes z (V, k), the readings at both ends of the step (L,), the commands at both ends and their
-# mean (m,); returns z at the end (V, k) and which virtual sensors were outside a domain (V,).
+# mean (m,), and those that hold from either end on (m,), which readings taken there have seen: not
+# needed where all Gu are zero. Returns z at the end (V, k) and who was outside a domain (V,).
 Step = Callable[..., tuple[np.ndarray, np.ndarray]]
+NOTHING = np.zeros(0)
 
 _SWEEPS = 100  # of Gauss-Seidel at most; one sign term needs one
 _STUCK = 1e-9  # of what friction changes in one step: anything slower stands still
@@ -68,7 +70,7 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 class _Terms:
     """
-    Chosen terms of each virtual sensor: P (V, k, S), Gz (V, S r, k), Gy (V, S r, L).
+    Chosen terms of each virtual sensor: P (V, k, S), Gz (V, S r, k), Gy (V, S r, L), Gu (.., m).
 
     ``self(w, u)``, with w (V, S r), gives psi (V, S). Equal terms are evaluated together.
     """
@@ -79,8 +81,9 @@ class _Terms:
         r = max([len(v.terms[i].slope) for v, on in zip(virtual_sensors, chosen) for i in on],
                 default=0)
         k = max(v.order for v in virtual_sensors)
+        inputs = virtual_sensors[0].inputs
         self.P = np.zeros((V, k, S))
-        Gz, Gy = np.zeros((V, S, r, k)), np.zeros((V, S, r, len(sensors)))
+        Gz, Gy, Gu = (np.zeros((V, S, r, width)) for width in (k, len(sensors), len(inputs)))
         same: dict[tuple[str, bytes], tuple[NonlinearTerm, list[int], list[int]]] = {}
         for row, (v, on) in enumerate(zip(virtual_sensors, chosen)):
             for slot, i in enumerate(on):
@@ -88,13 +91,13 @@ class _Terms:
                 self.P[row, :v.order, slot] = v.P[:, i]
                 Gz[row, slot, :len(term.slope), :v.order] = v.Gz[i]
                 Gy[row, slot, :len(term.slope)] = widen(v, sensors, v.Gy[i])
+                Gu[row, slot, :len(term.slope)] = v.Gu[i]
                 _, rows, slots = same.setdefault(
                     (term.text, term.slope.tobytes()), (term, [], []))
                 rows.append(row)
                 slots.append(slot)
-        self.Gz, self.Gy = Gz.reshape(V, S * r, k), Gy.reshape(V, S * r, len(sensors))
+        self.Gz, self.Gy, self.Gu = (G.reshape(V, S * r, G.shape[3]) for G in (Gz, Gy, Gu))
 
-        inputs = virtual_sensors[0].inputs
         where = np.arange(V * S * r).reshape(V, S, r)
         gather = [where[rows, slots, :len(term.slope)].T.ravel()
                   for term, rows, slots in same.values()]
@@ -133,7 +136,7 @@ class _Terms:
 
 
 class _Map:
-    """``z+ = N z + J y + B u + P psi(Gz z + Gy y, u)``."""
+    """``z+ = N z + J y + B u + P psi(Gz z + Gy y + Gu u, u)``."""
 
     def __init__(self, virtual_sensors: Sequence[VirtualSensor], sensors: Sequence[str]) -> None:
         self._terms = T = _Terms(virtual_sensors, sensors, [v.active for v in virtual_sensors])
@@ -142,17 +145,21 @@ class _Map:
         self._of_z = np.concatenate((N, T.Gz), axis=1)
         of_u = np.concatenate((B, np.zeros((len(B), T.Gz.shape[1], B.shape[2]))), axis=1)
         self._of_data = np.concatenate((np.concatenate((J, T.Gy), axis=1), of_u), axis=2)
+        self._direct = bool(T.Gu.any())
 
     def __call__(self, z: np.ndarray, y0: np.ndarray, y1: np.ndarray, u0: np.ndarray,
-                 u1: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                 u1: np.ndarray, u: np.ndarray, held0: np.ndarray = NOTHING,
+                 held1: np.ndarray = NOTHING) -> tuple[np.ndarray, np.ndarray]:
         linear = _times(self._of_z, z) + self._of_data @ np.concatenate((y0, u))
         end, w = np.split(linear, [z.shape[1]], axis=1)
+        if self._direct:
+            w = w + self._terms.Gu @ held0
         return end + _times(self._terms.P, self._terms(w, u)), self._terms.outside(w, u)
 
 
 class _Flow:
     """
-    One period of ``d/dt z = N z + J y + B u + P psi(Gz z + Gy y, u)``.
+    One period of ``d/dt z = N z + J y + B u + P psi(Gz z + Gy y + Gu u, u)``.
 
     Of the arguments, w are those of the smooth terms, s those of the implicit sign terms.
     """
@@ -169,18 +176,26 @@ class _Flow:
                   for v, signs in zip(virtual_sensors, implicit)]
         self._smooth = T = _Terms(virtual_sensors, sensors, smooth)
         self._sign = R = _Terms(virtual_sensors, sensors, implicit)
+        # Gu takes out of a reading what it has seen of the commands, so it is interpolated alike
+        self._direct = bool(T.Gu.any() or R.Gu.any())
 
-        # the linear flow as rows over (z, readings at both ends, commands at both ends):
-        # z at the end, then w and s at the beginning, the middle and the end
+        # the linear flow as rows over (z, readings at both ends, commands at both ends and, if
+        # direct, those held from there on): z at the end, then w and s at the beginning, the
+        # middle and the end
+        more = [np.zeros_like(B)] * (2 * self._direct)
+
         def flow(decay: np.ndarray, *gains: np.ndarray) -> np.ndarray:
             return np.concatenate(
-                (decay, *(gain @ X for X in (J, B) for gain in gains)), axis=2)
+                (decay, *(gain @ X for X in (J, B) for gain in gains), *more), axis=2)
 
         def seen(G: _Terms, z: np.ndarray, *weights: float) -> np.ndarray:
             rows = G.Gz @ z
-            L, k = G.Gy.shape[2], G.Gz.shape[2]
+            (L, m), k = (G.Gy.shape[2], G.Gu.shape[2]), G.Gz.shape[2]
             for i, weight in enumerate(weights):
                 rows[..., k + i * L:k + (i + 1) * L] += weight * G.Gy
+                if self._direct:
+                    held = k + 2 * L + (2 + i) * m
+                    rows[..., held:held + m] += weight * G.Gu
             return rows
 
         nothing = np.zeros_like(N)
@@ -212,8 +227,10 @@ class _Flow:
         self._to_rest = self._push / np.where(own > 0.0, own, 1.0)[:, None, :]
 
     def __call__(self, z: np.ndarray, y0: np.ndarray, y1: np.ndarray, u0: np.ndarray,
-                 u1: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        linear = _times(self._of_z, z) + self._of_data @ np.concatenate((y0, y1, u0, u1))
+                 u1: np.ndarray, u: np.ndarray, held0: np.ndarray = NOTHING,
+                 held1: np.ndarray = NOTHING) -> tuple[np.ndarray, np.ndarray]:
+        data = [y0, y1, u0, u1, *((held0, held1) if self._direct else ())]
+        linear = _times(self._of_z, z) + self._of_data @ np.concatenate(data)
         end, w0, w_half, w1, s0, s_half, s1 = (linear[:, cut] for cut in self._cuts)
         outside = np.zeros(len(z), dtype=bool)
         if self._smooth.P.shape[2]:
@@ -231,11 +248,11 @@ class _Flow:
             s_half = s_half + _times(self._sign.Gz, _times(self._half, third))
             s1 = s1 + _times(self._sign.Gz, added)
         if s0.shape[1]:
-            end = self._rub(end, s0, s_half, s1, y1)
+            end = self._rub(end, s0, s_half, s1, y1, held1)
         return end, outside
 
     def _rub(self, end: np.ndarray, s0: np.ndarray, s_half: np.ndarray, s1: np.ndarray,
-             y1: np.ndarray) -> np.ndarray:
+             y1: np.ndarray, held1: np.ndarray) -> np.ndarray:
         """
         Add the friction of one step to z (V, k) at its end.
 
@@ -261,6 +278,8 @@ class _Flow:
         resting = np.abs(sigma) < 1.0
         if resting.any():  # rounding must not leave a speed behind
             rest = _times(self._sign.Gz, end) + self._sign.Gy @ y1
+            if self._direct:
+                rest = rest + self._sign.Gu @ held1
             end = end + _times(self._to_rest, np.where(resting, rest, 0.0))
         return end
 

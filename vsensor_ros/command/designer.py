@@ -3,61 +3,167 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import io
 import os
 import sys
-
-import numpy as np
+import textwrap
+from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.command import words
+from vsensor_ros.command.report import check_target, write_report
 from vsensor_ros.designer import design
-from vsensor_ros.plant import load_plant
+from vsensor_ros.designer.design import METHODS
+from vsensor_ros.designer.location import Location, locations
+from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
+
+MOST_BLOCKS = 10  # printed unasked
+MOST_PLACES = 8  # for a new sensor
+WIDTH = 99
+
+Progress = Callable[[int, int, str], None]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, or 2 with one line on stderr when the input is bad."""
+    options = _options(arguments)
+    progress = _progress()
+    try:
+        _check_files(options)
+        plant = load_plant(options.plant)
+        asked = _fault_sets('--details', options.details)
+        result = design(plant, _fault_sets('--fault-set', options.fault_set),
+                        progress=progress, **_choices(options))
+        blocks = _asked(result, asked)
+        result.save(options.output)
+        if progress is not None and options.locate:
+            progress(0, 1, 'places for one more sensor')
+        places = (locations(plant, up_to=max(map(len, result.fault_sets)))
+                  if options.locate else None)
+        written = f'written to {options.output}'
+        if options.report:
+            path = write_report(options.report, plant, result, places, progress)
+            written += f', the report to {path}'
+        _clear(progress)
+        bounded = sum(v.grade == 'bounded' for v in result.virtual_sensors)
+        some = f', {bounded} of them within a bound only' if bounded else ''
+        _say(f'{report(result, blocks, places, plant)}\n{len(result.virtual_sensors)} of '
+             f'{len(result.entries)} can be replaced{some}; {written}')
+    except BadInput as error:
+        _clear(progress)
+        print(f'designer: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        _clear(progress)
+        print('designer: stopped', file=sys.stderr)
+        return 130
+    return 0
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='designer', description='Design a virtual sensor for every sensor of a plant.')
     parser.add_argument('plant', metavar='PLANT', help='plant file (YAML)')
     parser.add_argument('-o', '--output', metavar='DESIGN', required=True,
                         help='design file to write (JSON)')
-    parser.add_argument('--fault-set', metavar='SENSORS', action='append',
-                        help='sensors that fail together, with commas between; may be given '
-                        'several times (default: every single sensor)')
-    options = parser.parse_args(arguments)
-    try:
-        _check_files(options.plant, options.output)
-        result = design(load_plant(options.plant), _fault_sets(options.fault_set))
-        result.save(options.output)
-        _say(f'{report(result)}\n{len(result.virtual_sensors)} of {len(result.entries)} can be '
-             f'replaced; written to {options.output}')
-    except BadInput as error:
-        print(f'designer: {error}', file=sys.stderr)
-        return 2
-    return 0
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument('--fault-set', metavar='SENSORS', action='append',
+                       help='sensors that fail together, with commas between; may be given '
+                       'several times (default: every single sensor)')
+    which.add_argument('--up-to', metavar='N', type=int,
+                       help='every set of up to N sensors')
+    parser.add_argument('--prefer', metavar='WHAT',
+                        help='quiet: the least order whose noise is within a factor of two of the '
+                        'best (default); least: the least order there is')
+    parser.add_argument('--decay', metavar='RATE', type=float,
+                        help='rate [1/s] at which errors are to die out (default: the slowest of '
+                        'the plant)')
+    parser.add_argument('--bounded', action='store_true',
+                        help='where unknown inputs cannot be kept out, hand out virtual sensors '
+                        'that they disturb, with the gain stated')
+    parser.add_argument('--method', metavar='NAME',
+                        help=f"one of the papers' methods instead of the whole search: "
+                        f'{", ".join(METHODS)}')
+    parser.add_argument('--report', metavar='PATH',
+                        help='write a report, too: one HTML file, or a folder that will hold it')
+    parser.add_argument('--locate', action='store_true',
+                        help='say which one more sensor would let you lose the most others')
+    parser.add_argument('--details', metavar='SENSORS', action='append',
+                        help='print what was found for this fault set (with commas between), or '
+                        f"'all'; needed where there are more than {MOST_BLOCKS}")
+    return parser.parse_args(arguments)
 
 
-def _check_files(plant: str, output: str) -> None:
-    for what, path in (('PLANT', plant), ('-o', output)):
+def _choices(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what was chosen for the design; what was not said is left to it."""
+    names = ('up_to', 'prefer', 'decay', 'bounded', 'method')
+    return {name: value for name in names
+            if (value := getattr(options, name)) is not None and value is not False}
+
+
+def _check_files(options: argparse.Namespace) -> None:
+    given = {'PLANT': options.plant, '-o': options.output}
+    if options.report is not None:
+        given['--report'] = options.report
+    for what, path in given.items():
         if not path:
             raise BadInput(what, '', 'is empty', 'name a file')
+    outputs = [what for what in given if what != 'PLANT']
+    for what, other, whose in [(o, 'PLANT', 'the plant file') for o in outputs] + [
+            (o, '-o', 'the design file') for o in outputs[1:]]:
+        if _same(given[what], given[other]):
+            raise BadInput(what, '', f'{given[what]} is {whose} itself', 'name another file')
+    if options.report is not None:
+        check_target(options.report)
+
+
+def _same(path: str, other: str) -> bool:
     try:
-        same = os.path.samefile(plant, output)
+        return os.path.samefile(path, other)
     except (OSError, ValueError):  # not both are there; what is missing is said when it is opened
-        return
-    if same:
-        raise BadInput('-o', '', f'{output} is the plant file itself', 'name another file')
+        return os.path.abspath(path) == os.path.abspath(other)
 
 
-def _fault_sets(texts: list[str] | None) -> list[list[str]] | None:
+def _fault_sets(option: str, texts: list[str] | None) -> list[list[str]] | None:
     if texts is None:
         return None
     sets = [[name.strip() for name in text.split(',')] for text in texts]
     if not all(name for names in sets for name in names):
-        raise BadInput('--fault-set', '', 'a name is empty', 'write it as --fault-set y1,y2')
+        raise BadInput(option, '', 'a name is empty', f'write it as {option} y1,y2')
     return sets
+
+
+def _asked(result: Design, details: list[list[str]] | None) -> set[tuple[str, ...]]:
+    """Return the fault sets whose blocks are to be printed."""
+    if details is None:
+        return set(result.fault_sets) if len(result.entries) <= MOST_BLOCKS else set()
+    if ['all'] in details:
+        return set(result.fault_sets)
+    sets = {tuple(s for s in result.sensors if s in names) for names in details}
+    for names, chosen in zip(details, (set(n) for n in details)):
+        if not any(set(s) == chosen for s in result.fault_sets):
+            raise BadInput('--details', '', f'{",".join(names)} is no fault set of this design',
+                           "give one, or 'all'")
+    return sets
+
+
+def _progress() -> Progress | None:
+    """Return what keeps one line on the terminal up to date; None where nobody watches."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        return None
+
+    def show(done: int, total: int, text: str) -> None:
+        sys.stderr.write(f'\r\x1b[K{done}/{total} {text:.60}')
+        sys.stderr.flush()
+    return show
+
+
+def _clear(progress: Progress | None) -> None:
+    if progress is not None:
+        sys.stderr.write('\r\x1b[K')
+        sys.stderr.flush()
 
 
 def _say(text: str) -> None:
@@ -73,41 +179,87 @@ def _say(text: str) -> None:
                        'the design file is complete') from error
 
 
-def report(result: Design) -> str:
-    """Return the table a person reads: one block for each fault set and channel."""
+def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
+           places: Sequence[Location] | None = None, plant: Plant | None = None) -> str:
+    """
+    Return what a person reads: what can be lost, then a block for each of some fault sets.
+
+    ``blocks``: fault sets to print blocks for, by default all.
+    """
     time = ('continuous time' if result.sample_time is None
             else f'sample time {result.sample_time:g} s')
-    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
-    several = any(len(fault_set) > 1 for fault_set in result.fault_sets)
+    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '',
+             'Sensors that this plant can afford to lose at the same time']
+    for size, sentences in words.loss_lines(result):
+        for i, sentence in enumerate(sentences):
+            lines += _hanging(size if i == 0 else '', sentence, 9)
+    if places is not None and plant is not None:
+        lines += ['', 'With one more sensor', *_places(places, plant)]
+    lines.append('')
     for (fault_set, channel), entry in result.entries.items():
-        title = f'{channel} [{result.units[channel]}]' if result.units.get(channel) else channel
-        if several:
-            title += f' when {" and ".join(fault_set)} failed' if len(fault_set) > 1 else (
-                ' when it alone failed')
-        if isinstance(entry, Refusal):
-            lines += [f'{title}: cannot be replaced', f'    {entry.reason}', '']
-        else:
-            lines += [f'{title}: can be replaced', *_facts(entry), '']
+        if blocks is None or fault_set in blocks:
+            lines += [f'{words.title(result, fault_set, channel)}: {words.state_of(entry)}']
+            lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
+                entry, result.units.get(channel, ''))
+            lines.append('')
+    hidden = sum(blocks is not None and s not in blocks for s, _ in result.entries)
+    if hidden:
+        lines += [f'{hidden} more not printed: ask with --details SENSORS or --details all, or '
+                  'have all in a file with --report out.html', '']
     return '\n'.join(lines).rstrip() + '\n'
 
 
-def _facts(entry: VirtualSensor) -> list[str]:
-    driving = [name for name, column in zip(entry.inputs, entry.B.T) if column.any()]
+def _places(places: Sequence[Location], plant: Plant) -> list[str]:
+    if not places:
+        return ['    every state is measured already: only a second sensor of the same would help']
+    useful = [place for place in places if place.gained]
+    if not useful:
+        return ['    none of a single state would let you lose more than now']
+    width = max(len(place.name) for place in useful[:MOST_PLACES]) + 2
+    lines = []
+    for place in useful[:MOST_PLACES]:
+        lines += _hanging(place.name, words.gained(place), width)
+    if len(useful) > MOST_PLACES:
+        lines.append(f'    and {len(useful) - MOST_PLACES} more that help')
+    return lines
+
+
+def _hanging(head: str, text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=f'    {head:{width}}',
+                         subsequent_indent=' ' * (4 + width), break_on_hyphens=False)
+
+
+def _refused(entry: Refusal) -> list[str]:
+    lines = [f'    {entry.reason}']
+    if entry.alternative:
+        lines.append(f'    instead: {entry.alternative}')
+    return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
+
+
+def _facts(entry: VirtualSensor, unit: str) -> list[str]:
     terms = [entry.terms[i].name for i in entry.active]
-    facts = {
-        'order': f'{entry.order} ({entry.method})',
-        'reads': ', '.join([*entry.reads, *driving]) or 'nothing: it is a constant',
-        'eigenvalues of N': ', '.join(_complex(v) for v in entry.eigenvalues) or 'none',
-        'noise gain': f'{entry.noise_gain:.3g}',
-    }
+    facts = [
+        ('order', words.order(entry)),
+        ('noise error', words.noise(entry, unit)),
+        ('decay', words.decay(entry)),
+        ('eigenvalues of N', words.eigenvalues(entry)),
+        ('reads', words.reads(entry)),
+        ('noise gain', words.number(entry.noise_gain)),
+        ('found as', entry.method),
+    ]
+    if entry.grade != 'exact':
+        facts.insert(1, ('unknown inputs', words.disturbance(entry, unit)))
     if terms:
-        facts['nonlinear terms'] = ', '.join(terms)
-    return [f'    {name:17} {value}' for name, value in facts.items()]
-
-
-def _complex(value: complex) -> str:
-    real = f'{value.real:.4g}'
-    return real if np.isclose(value.imag, 0.0) else f'{real} {value.imag:+.4g}i'
+        facts.append(('nonlinear terms', ', '.join(terms)))
+    facts += [('stability' if i == 0 else '', said)
+              for i, said in enumerate(words.certificate(entry))]
+    if len(entry.ladder) > 1:
+        facts += [('ladder' if i == 0 else '', (
+            f'order {rung.order}: noise error {words.number(rung.noise, unit)}, decay '
+            f'{words.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
+            for i, (rung, taken) in enumerate(words.rungs(entry))]
+    facts += [('in doubt', doubt) for doubt in words.doubts(entry)]
+    return [f'    {name:17} {value}' for name, value in facts]
 
 
 if __name__ == '__main__':

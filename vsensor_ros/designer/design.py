@@ -2,57 +2,130 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
-from vsensor_ros.designer import search
-from vsensor_ros.designer.existence import examine, forced_closure, measured_signs
-from vsensor_ros.designer.observer import decay, with_healthy
+from vsensor_ros.designer import papers
+from vsensor_ros.designer.bounded import alternative, least_sensitive, singular
+from vsensor_ros.designer.certificate import certify
+from vsensor_ros.designer.exact import Verdict, verdict
+from vsensor_ros.designer.existence import disturbed, examine, measured_signs
+from vsensor_ros.designer.ladder import climb, doubtful
 from vsensor_ros.designer.problem import pose, Problem
+from vsensor_ros.expression import check_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
-METHODS = ('jordan', 'identification')
-TOO_NOISY = 100.0  # times the largest observer: a lower order is not worth it
-SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
-MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
+PREFERENCES = ('quiet', 'least')
+METHODS = ('jordan', 'identification', 'svd')
 
 
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
-           method: str | None = None) -> Design:
+           up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
+           prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
+           method: str | None = None,
+           progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
 
-    ``fault_sets``: sets of sensor names that fail together; by default every single sensor.
-    ``method``: 'jordan' or 'identification' confines the search to that canonical form; by
-    default both are tried at each order, and last the largest observer there is.
-    Raises BadInput for a name that is not a sensor or not a method. Source: method, section 3,
-    with the designs of section 2 at each order.
+    ``fault_sets``: sets of sensor names that fail together; by default every single sensor, with
+    ``up_to`` every set of so many. ``wanted``: functionals of the states to estimate besides, a
+    row (n,) or rows (p, n) by name; alone, they are estimated from all sensors, as
+    ``result[(), name]``. ``prefer``: 'quiet' takes the least order whose noise is within a factor
+    of two of the best, 'least' the least there is. ``decay`` [1/s]: rate at which errors are to
+    die out, by default the plant's slowest. ``bounded``: where none can be decoupled from all
+    unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
+    'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
+    latter and, if bounded, to the papers' method of singular values. ``progress`` is told what is
+    done, of how many, and what is next. Raises BadInput for what is not a name of a sensor or a
+    choice. Source: method, section 3.
     """
+    _check(plant, prefer, decay, method)
+    functionals = _functionals(plant, wanted)
+    sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
+    entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
+    tasks = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
+    for done, (fault_set, channel) in enumerate(tasks):
+        if progress is not None:
+            progress(done, len(tasks), f'{channel} without {", ".join(fault_set) or "a fault"}')
+        lost = _lost_before(entries, fault_set, channel)
+        if lost is not None:
+            if lost.alternative:  # that of fewer faults read more sensors
+                lost = replace(lost, alternative=alternative(
+                    pose(plant, fault_set, channel, functionals.get(channel))))
+            entries[fault_set, channel] = lost
+            continue
+        problem = pose(plant, fault_set, channel, functionals.get(channel))
+        entry = _answer(problem, prefer, decay, bounded, method)
+        if isinstance(entry, VirtualSensor):
+            entry = replace(entry, certificate=certify(plant, entry))
+        entries[fault_set, channel] = entry
+    if progress is not None:
+        progress(len(tasks), len(tasks), 'done')
+    return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
+                  dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals))
+
+
+def _check(plant: Plant, prefer: str, decay: float | None, method: str | None) -> None:
     if not isinstance(plant, Plant):
         raise BadInput('design', 'plant', f'{shown(plant)} is not a Plant',
                        'make one with load_plant or Plant.from_matrices')
     if method is not None and method not in METHODS:
         raise BadInput('design', 'method', f'{shown(method)} is not a method',
                        f'use one of {", ".join(METHODS)}')
-    entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
-    for fault_set in _checked(plant, fault_sets):
-        for channel in fault_set:
-            entries[fault_set, channel] = _replace(pose(plant, fault_set, channel), method)
-    return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-                  dict(plant.units), plant.sample_time, entries)
+    if prefer not in PREFERENCES:
+        raise BadInput('design', 'prefer', f'{shown(prefer)} is not a preference',
+                       f'use one of {", ".join(PREFERENCES)}')
+    if decay is not None and not (isinstance(decay, (int, float)) and 0 < decay < np.inf):
+        raise BadInput('design', 'decay', f'{shown(decay)} is not a rate',
+                       'give a positive number, in 1/s')
 
 
-def _checked(plant: Plant, fault_sets: Iterable[Iterable[str]] | None,
-             ) -> list[tuple[str, ...]]:
+def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np.ndarray]:
+    """Return the wanted functionals as arrays (p, n)."""
+    if wanted is None:
+        return {}
+    mend = f"give {{'v': row}} with rows of {len(plant.states)} numbers"
+    if not isinstance(wanted, Mapping):
+        raise BadInput('design', 'wanted', f'{shown(wanted)} is not a mapping', mend)
+    functionals = {}
+    for name, rows in wanted.items():
+        check_name(name, 'design', 'wanted')
+        if name in plant.sensors:
+            raise BadInput('design', 'wanted', f'{name} is a sensor', 'choose another name')
+        try:
+            array = np.atleast_2d(np.array(rows, dtype=float))
+        except (TypeError, ValueError):
+            raise BadInput('design', f'wanted.{name}', f'{shown(rows)} is not numbers',
+                           mend) from None
+        if array.ndim != 2 or array.shape[1] != len(plant.states) or not len(array) \
+                or not np.isfinite(array).all():
+            raise BadInput('design', f'wanted.{name}', f'has shape {array.shape}', mend)
+        functionals[name] = array
+    return functionals
+
+
+def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to: int | None,
+                wanted: bool) -> list[tuple[str, ...]]:
     """Return the fault sets with their sensors in the plant's order, each set once."""
     mend = f'give a list of sets of names among {", ".join(plant.sensors)}'
+    if up_to is not None:
+        if fault_sets is not None:
+            raise BadInput('design', 'up_to', 'stands beside fault_sets', 'give one of them')
+        if isinstance(up_to, bool) or not isinstance(up_to, int) or up_to < 1:
+            raise BadInput('design', 'up_to', f'{shown(up_to)} is not a number of sensors',
+                           'give 1, 2, ..')
+        sets: list[tuple[str, ...]] = [()] if wanted else []
+        for size in range(1, min(up_to, len(plant.sensors)) + 1):
+            sets += combinations(plant.sensors, size)
+        return sets
     if fault_sets is None:
-        return [(sensor,) for sensor in plant.sensors]
+        return [()] if wanted else [(sensor,) for sensor in plant.sensors]
     if isinstance(fault_sets, str) or not isinstance(fault_sets, Iterable):
         raise BadInput('design', 'fault_sets', f'{shown(fault_sets)} is not a list of sets', mend)
     checked = []
@@ -62,7 +135,7 @@ def _checked(plant: Plant, fault_sets: Iterable[Iterable[str]] | None,
             raise BadInput('design', 'fault_sets', f'{shown(names)} is not a set', mend)
         chosen = list(chosen)
         unknown = [name for name in chosen if name not in plant.sensors]
-        if unknown or not chosen:
+        if unknown or not (chosen or wanted):
             problem = f'{shown(unknown[0])} is not a sensor' if unknown else 'a set is empty'
             raise BadInput('design', 'fault_sets', problem, mend)
         checked.append(tuple(sensor for sensor in plant.sensors if sensor in chosen))
@@ -71,87 +144,54 @@ def _checked(plant: Plant, fault_sets: Iterable[Iterable[str]] | None,
     return list(dict.fromkeys(checked))
 
 
-def _replace(problem: Problem, method: str | None) -> VirtualSensor | Refusal:
+def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | Refusal],
+                 fault_set: tuple[str, ...], channel: str) -> Refusal | None:
+    """Return the refusal that holds already with fewer faults: less knowledge mends nothing."""
+    for (fewer, of), entry in entries.items():
+        if of == channel and isinstance(entry, Refusal) and set(fewer) < set(fault_set):
+            without = ' and '.join(fewer) or 'no sensor'
+            reason = entry.reason.partition('already when ')[2]
+            return replace(entry, fault_set=fault_set, reason=(
+                f'already when {reason}' if reason else
+                f'already when {without} alone has failed: {entry.reason}'))
+    return None
+
+
+def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
+            method: str | None) -> VirtualSensor | Refusal:
     """Find the virtual sensor for one problem, preferably without friction unknown at rest."""
+    existence, exact = examine(problem), referee(problem)
+    doubts = doubtful(existence.gap, 'whether one exists', exact)
+    obstruction = existence.obstruction
+    if exact and obstruction is None and not all(exact.solvable):
+        obstruction = disturbed(problem, existence.forced)
+        doubts.append('exact arithmetic on the decimals as given decided that there is none: in '
+                      'double precision one seems to exist')
+    if obstruction is not None:
+        refusal = Refusal(problem.channel, problem.fault_set, obstruction, doubts=tuple(doubts))
+        if not bounded:
+            return replace(refusal, alternative=alternative(problem))
+        if method == 'svd':
+            return singular(problem)
+        return least_sensitive(problem, prefer, decay) or refusal
+    if exact and exact.forced != existence.forced:
+        exact = None
     signs = measured_signs(problem)
-    found = _least_order(problem, signs, method)
-    if signs and isinstance(found, Refusal):
-        found = _least_order(problem, frozenset(), method)
-        if isinstance(found, VirtualSensor) and signs & set(found.active):
-            names = ', '.join(problem.plant.terms[i].name for i in sorted(signs))
-            found = replace(found, method=f'{found.method}; at rest unsure of {names}')
+    if signs and examine(problem, signs).obstruction is not None:
+        signs = frozenset()
+    found = (climb(problem, existence, signs, prefer, decay, exact) if method is None
+             else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
+                                     else 'identification'))
+    risky = measured_signs(problem)
+    if isinstance(found, VirtualSensor) and risky & set(found.active):
+        names = ', '.join(problem.plant.terms[i].name for i in sorted(risky))
+        found = replace(found, method=f'{found.method}; at rest unsure of {names}')
     return found
 
 
-def _least_order(problem: Problem, avoid: frozenset[int],
-                 method: str | None) -> VirtualSensor | Refusal:
-    """Raise the order until a stable virtual sensor is found."""
-    existence = examine(problem, avoid)
-    if existence.obstruction is not None:
-        return Refusal(problem.channel, problem.fault_set, existence.obstruction)
-    found = search.static(problem)
-    if found is not None:
-        return found
-    reserve = search.largest(problem, existence.Phi) if method is None else []
-    bearable = TOO_NOISY * max((v.noise_gain for v in reserve), default=np.inf)
-    for k in range(1, len(existence.Phi) + 1):
-        sensors = [v for v in _of_order(problem, k, existence.forced, method)
-                   if v.noise_gain <= bearable]
-        if sensors:
-            return _reading_less(problem, search.choose(sensors), existence.forced, method)
-        sensors = [sensor for sensor in reserve if sensor.order == k]
-        if sensors:
-            return search.choose(sensors)
-    terms = ', '.join(t.name for t in problem.plant.terms)
-    return Refusal(
-        problem.channel, problem.fault_set,
-        f'the linear equations allow a virtual sensor of order up to {len(existence.Phi)}, but '
-        + (f'none in {method} canonical form ' if method else 'none ')
-        + ('was found that is stable together with ' + terms if terms else
-           'was found that passes the check of its equations: the plant is ill-conditioned'))
-
-
-def _of_order(problem: Problem, k: int, forced: frozenset[int],
-              method: str | None) -> list[VirtualSensor]:
-    """Search the canonical forms at one order."""
-    for S in _decoupled_sets(problem, forced):
-        sensors = search.jordan(problem, k, S) if method != 'identification' else []
-        if method == 'identification' or (method is None and not sensors):
-            sensors = search.identification(problem, k, S)
-        if sensors:
-            return sensors
-    return []
-
-
-def _reading_less(problem: Problem, found: VirtualSensor, forced: frozenset[int],
-                  method: str | None) -> VirtualSensor:
-    """
-    Leave out readings that a virtual sensor of the same order can do without.
-
-    What is not read can fail, too. The price in noise and in speed is bounded.
-    """
-    limit = search.NOISE_FACTOR * found.noise_gain
-    speed = decay(found.eigenvalues, found.sample_time) / SLOWER
-    left_out: frozenset[str] = frozenset()
-    while True:
-        for name in found.reads:
-            fewer = pose(problem.plant, problem.fault_set, problem.channel, left_out | {name})
-            if not forced_closure(fewer, forced)[0] <= forced:
-                continue
-            sensors = [v for v in _of_order(fewer, found.order, forced, method)
-                       if v.noise_gain <= limit and decay(v.eigenvalues, v.sample_time) >= speed]
-            if sensors:
-                left_out |= {name}
-                found = with_healthy(search.choose(sensors), problem.healthy)
-                break
-        else:
-            return found
-
-
-def _decoupled_sets(problem: Problem, forced: frozenset[int]) -> list[frozenset[int]]:
-    """List the sets of nonlinear terms to decouple from, the least first."""
-    rest = [i for i in range(len(problem.G)) if i not in forced]
-    if len(rest) > MOST_TERMS:
-        return [forced, forced | frozenset(rest)]
-    return [forced | frozenset(more)
-            for size in range(len(rest) + 1) for more in combinations(rest, size)]
+def referee(problem: Problem) -> Verdict | None:
+    """Ask exact arithmetic about a problem; None when its numbers are no typed decimals."""
+    plant = problem.plant
+    rows = [plant.sensors.index(s) for s in problem.healthy]
+    return verdict(plant.A, plant.C[rows], problem.wanted[0], plant.D, Cd0=plant.Cd[rows],
+                   Vd=problem.wanted[2], P=plant.P, G=plant.G)

@@ -12,15 +12,16 @@ import numpy as np
 from scipy.linalg import schur
 
 from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.quotient import Quotient, quotient
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import (
+    complement,
     conditioned_invariant,
+    Gap,
     image,
     in_row_space,
-    kernel,
     left_kernel,
-    measured_part,
-    solve_left,
+    unobservable,
 )
 from vsensor_ros.nonlinearity import set_valued
 
@@ -30,8 +31,9 @@ class Existence:
     """What the geometry says of a problem."""
 
     forced: frozenset[int]  # nonlinear terms that any virtual sensor must be decoupled from
-    Phi: np.ndarray  # (r, n) rows of the largest observer whose error can be made to die out
+    quotient: Quotient | None  # what can be known and whose error can be made to die out
     obstruction: str | None  # one sentence, or None when a virtual sensor exists
+    gap: Gap  # of the rank decisions
 
 
 def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
@@ -40,19 +42,27 @@ def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
 
     ``avoid``: nonlinear terms that it is to be decoupled from in any case.
     """
+    gap = Gap()
+    if problem.reads_unknown:
+        return Existence(avoid, None, _unread(problem), gap)
     while True:
-        forced, T = forced_closure(problem, avoid)
-        Phi = left_kernel(T)
-        if not in_row_space(np.vstack([Phi, problem.C0]), problem.V):
-            return Existence(forced, Phi, _disturbed(problem, forced))
-        Phi, modes, states = without_hidden_unstable_modes(problem, Phi)
-        known = np.vstack([Phi, problem.C0])
-        if not in_row_space(known, problem.V):
-            return Existence(forced, Phi, _undetectable(problem, modes, states))
+        forced, T = forced_closure(problem, avoid, gap)
+        Phi = complement(T)
+        if not in_row_space(np.vstack([Phi, problem.C0]), problem.V, gap):
+            return Existence(forced, None, disturbed(problem, forced), gap)
+        known = quotient(problem, Phi, gap)
+        lost, modes = hidden_unstable_modes(known, problem, gap)
+        if not lost.shape[1]:
+            return Existence(forced, known, None, gap)
+        keep = left_kernel(lost) @ Phi
+        rows = np.vstack([keep, problem.C0])
+        if not in_row_space(rows, problem.V, gap):
+            states = _strongest(problem.plant.states, np.linalg.lstsq(Phi, lost, rcond=None)[0])
+            return Existence(forced, None, _undetectable(problem, modes, states), gap)
         # a term whose argument went with a hidden mode must not act either
-        avoid = forced | {i for i, g in enumerate(problem.G) if not in_row_space(known, g)}
+        avoid = forced | {i for i, g in enumerate(problem.G) if not in_row_space(rows, g)}
         if avoid == forced:
-            return Existence(forced, Phi, None)
+            return Existence(forced, quotient(problem, keep, gap), None, gap)
 
 
 def measured_signs(problem: Problem) -> frozenset[int]:
@@ -68,7 +78,7 @@ def measured_signs(problem: Problem) -> frozenset[int]:
 
 
 def forced_closure(problem: Problem, forced: frozenset[int] = frozenset(),
-                   ) -> tuple[frozenset[int], np.ndarray]:
+                   gap: Gap | None = None) -> tuple[frozenset[int], np.ndarray]:
     """
     Return the nonlinear terms that must be decoupled and the subspace T* this leads to.
 
@@ -76,74 +86,110 @@ def forced_closure(problem: Problem, forced: frozenset[int] = frozenset(),
     it enlarges T*, which may force further terms. Source: method 3.2.
     """
     while True:
-        T = conditioned_invariant(problem.A, problem.C0, problem.decoupled(forced))
-        known = np.vstack([left_kernel(T), problem.C0])
+        T = conditioned_invariant(problem.A, problem.C0, problem.decoupled(forced), gap)
+        known = np.vstack([complement(T), problem.C0])
         grown = frozenset(i for i, g in enumerate(problem.G)
-                          if i in forced or not in_row_space(known, g))
+                          if i in forced or not in_row_space(known, g, gap))
         if grown == forced:
             return forced, T
         forced = grown
 
 
-def without_hidden_unstable_modes(
-        problem: Problem, Phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def hidden_unstable_modes(known: Quotient, problem: Problem, gap: Gap | None = None,
+                          ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Drop from the row space of Phi what no injection of a residual could make stable.
+    Return what no injection of a residual could make stable.
 
-    Returns the remaining rows, the modes dropped (complex) and the states they live in.
-    Source: method 3.3.
+    Orthonormal columns (r, h) of the quotient and their modes (h,) complex. Source: method 3.3.
     """
-    N = solve_left(np.vstack([Phi, problem.C0]), Phi @ problem.A)[:, :Phi.shape[0]]
-    hidden = unobservable(N, measured_part(Phi, problem.C0))
-    if hidden.shape[1] == 0:
-        return Phi, np.zeros(0, complex), []
-    inner = hidden.T @ N @ hidden
-    values, stays = lasting(inner, problem.plant.sample_time, problem.speed)
+    hidden = unobservable(known.A, known.E, gap)
+    values, stays = lasting(hidden.T @ known.A @ hidden, problem.plant.sample_time,
+                            problem.speed)
     if not stays.any():
-        return Phi, np.zeros(0, complex), []
-    T, Z, unstable = schur(inner, output='complex',
+        return hidden[:, :0], values[:0]
+    T, Z, unstable = schur(hidden.T @ known.A @ hidden, output='complex',
                            sort=lambda s: bool(stays[np.argmin(np.abs(values - s))]))
     lost = hidden @ Z[:, :unstable]  # complex columns of a real subspace
-    lost = image(np.hstack([lost.real, lost.imag]))
-    keep = left_kernel(lost)
-    directions = np.linalg.lstsq(Phi, lost, rcond=None)[0]
-    weight = np.abs(directions).max(axis=1)
-    states = [s for s, w in zip(problem.plant.states, weight) if w > 1e-3 * weight.max()]
-    return keep @ Phi, np.diag(T)[:unstable], states
+    return image(np.hstack([lost.real, lost.imag])), np.diag(T)[:unstable]
 
 
-def unobservable(N: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Orthonormal columns of the largest N-invariant subspace inside ker C."""
-    N = N / max(np.linalg.norm(N, 2) if N.size else 0.0, np.finfo(float).tiny)
-    W = kernel(C)
-    while True:
-        kept = W @ kernel(N @ W - W @ (W.T @ N @ W), size=1.0)
-        if kept.shape[1] == W.shape[1]:
-            return W
-        W = kept
+def _strongest(states: tuple[str, ...], directions: np.ndarray) -> tuple[str, ...]:
+    """Name the states that columns of directions (n, s) move most."""
+    weight = np.abs(directions).max(axis=1, initial=0.0)
+    return tuple(s for s, w in zip(states, weight) if w > 1e-3 * weight.max(initial=0.0))
 
 
-def _disturbed(problem: Problem, forced: frozenset[int]) -> str:
+def _unread(problem: Problem) -> str:
+    names = tuple(name for name, column in zip(
+        problem.plant.disturbances,
+        problem.plant.Cd[[problem.plant.sensors.index(problem.channel)]].T) if column.any())
+    return (f'it reads the unknown input{"s" * (len(names) > 1)} {_listed(names)} directly, and '
+            'no healthy sensor does')
+
+
+def disturbed(problem: Problem, forced: frozenset[int]) -> str:
     """Say which unknown input or which nonlinear term blocks the way."""
     plant = problem.plant
-    T = conditioned_invariant(problem.A, problem.C0, problem.D)
-    if not in_row_space(np.vstack([left_kernel(T), problem.C0]), problem.V):
-        culprits = tuple(
-            name for i, name in enumerate(plant.disturbances)
-            if not in_row_space(np.vstack([left_kernel(conditioned_invariant(
-                problem.A, problem.C0, problem.D[:, [i]])), problem.C0]), problem.V))
+
+    def hides(D: np.ndarray) -> bool:
+        known = complement(conditioned_invariant(problem.A, problem.C0, D))
+        return not in_row_space(np.vstack([known, problem.C0]), problem.V)
+
+    if hides(problem.D):
+        # an unknown input that is read directly has no column of its own left
+        D = plant.D / problem.scale[:, None]
+        culprits = tuple(name for i, name in enumerate(plant.disturbances)
+                         if D[:, i].any() and hides(D[:, [i]] / np.linalg.norm(D[:, i])))
         culprits = culprits or plant.disturbances
-        acts = (f'the unknown input{"s" * (len(culprits) > 1)} {_listed(culprits)} '
-                f'act{"s" * (len(culprits) == 1)} on it')
+        several = len(culprits) > 1
+        way = _way(problem, culprits)
+        acts = (f'the unknown input{"s" * several} {_listed(culprits)} ' + (
+            f'{"reach" if several else "reaches"} it through {_listed(way)}' if way
+            else f'act{"s" * (not several)} on it'))
         if not problem.healthy:
             return f'{acts} and no sensor is left to tell them apart'
+        if way:
+            return (f'{acts}, and {_listed(problem.healthy)} cannot tell {_listed(way)} from '
+                    f'{"them" if several else "it"}')
         return f'{acts} and cannot be told apart from it by {_listed(problem.healthy)}'
     terms = tuple(plant.terms[i].name for i in sorted(forced))
     return (f'{_terms(terms)} on it with an argument that {_listed(problem.healthy)} cannot tell'
             if problem.healthy else f'{_terms(terms)} on it and no sensor is left')
 
 
-def _undetectable(problem: Problem, modes: np.ndarray, states: list[str]) -> str:
+def _way(problem: Problem, culprits: tuple[str, ...]) -> tuple[str, ...]:
+    """
+    Return the states that unknown inputs pass on their shortest way to v.
+
+    Empty when they act on what v is made of, or when the sensors see all of the way.
+    """
+    plant, n = problem.plant, len(problem.A)
+    acts = plant.A != 0
+    for g, column in zip(plant.G, plant.P.T):
+        acts |= np.outer(column != 0, g.any(axis=0))
+    seen = {int(np.argmax(np.abs(row))) for row in problem.C0 if np.count_nonzero(row) == 1}
+    goal = set(np.flatnonzero(np.abs(problem.V).max(axis=0) > 0).tolist())
+    columns = [plant.disturbances.index(name) for name in culprits]
+    before: dict[int, int | None] = {
+        int(i): None for i in np.flatnonzero(plant.D[:, columns].any(axis=1))}
+    queue = list(before)
+    while queue:
+        state = queue.pop(0)
+        if state in goal:
+            way = []
+            at = before[state]
+            while at is not None:
+                way.append(plant.states[at])
+                at = before[at]
+            return tuple(reversed(way))
+        for following in (i for i in range(n) if acts[i, state]):
+            if following not in before and following not in seen:
+                before[following] = state
+                queue.append(following)
+    return ()
+
+
+def _undetectable(problem: Problem, modes: np.ndarray, states: tuple[str, ...]) -> str:
     discrete = problem.plant.sample_time is not None
     size = np.abs(modes).max() if discrete else modes.real.max()
     if abs(size) < 1e-9 * problem.speed:
@@ -152,7 +198,7 @@ def _undetectable(problem: Problem, modes: np.ndarray, states: list[str]) -> str
     counted = ('; nonlinear terms count with their slope at the operating point'
                if problem.plant.terms else '')
     who = f'{_listed(problem.healthy)} cannot see' if problem.healthy else 'no sensor is left for'
-    return (f'{who} the mode of {kind} {size:.3g} in {_listed(tuple(states))}, which does not '
+    return (f'{who} the mode of {kind} {size:.3g} in {_listed(states)}, which does not '
             f'surely die out by itself: an initial error would stay{counted}')
 
 

@@ -7,7 +7,7 @@ that counts is therefore that of ``N = A_* + J_F Cv``, not that of A_* (method, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,8 +29,8 @@ class Candidate:
     Phi: np.ndarray  # (k, n)
     N: np.ndarray  # (k, k)
     J: np.ndarray  # (k, l0)
-    Cv: np.ndarray  # (1, k)
-    Q: np.ndarray  # (1, l0)
+    Cv: np.ndarray  # (p, k)
+    Q: np.ndarray  # (p, l0)
 
 
 def close_loop(problem: Problem, Phi: np.ndarray) -> Candidate | None:
@@ -39,12 +39,13 @@ def close_loop(problem: Problem, Phi: np.ndarray) -> Candidate | None:
 
     Where rows of Phi are measured the least N and J are taken.
     """
-    known = np.vstack([Phi, problem.C0])
-    if not in_row_space(known, np.vstack([Phi @ problem.A, problem.V])):
+    known, k = np.vstack([Phi, problem.C0]), len(Phi)
+    both = np.vstack([Phi @ problem.A, problem.V])
+    if not in_row_space(known, both):
         return None
-    k = len(Phi)
-    NJ, CQ = solve_left(known, Phi @ problem.A), solve_left(known, problem.V)
-    return Candidate(Phi, NJ[:, :k], NJ[:, k:], CQ[:, :k], CQ[:, k:])
+    NJ, CQ = np.split(solve_left(known, both), [k])
+    return Candidate(Phi, NJ[:, :k], NJ[:, k:] @ problem.Y + Phi @ problem.F,
+                     CQ[:, :k], CQ[:, k:] @ problem.Y + problem.Qv)
 
 
 def knows_arguments(problem: Problem, Phi: np.ndarray) -> bool:
@@ -60,15 +61,6 @@ def acting(problem: Problem, Phi: np.ndarray) -> np.ndarray:
     return np.abs(Phi @ problem.P).max(axis=0, initial=0.0) > 1e2 * RANK_TOLERANCE * size
 
 
-def decay(eigenvalues: np.ndarray, sample_time: float | None) -> float:
-    """Slowest rate [1/s] at which a linear error with these eigenvalues dies out."""
-    if len(eigenvalues) == 0:
-        return np.inf
-    if sample_time is None:
-        return float(-eigenvalues.real.max())
-    return float(-np.log(max(np.abs(eigenvalues).max(), 1e-12)) / sample_time)
-
-
 def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor | None:
     """
     Turn a candidate into a virtual sensor in the user's coordinates.
@@ -76,66 +68,56 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
     None when an equation fails on fresh arithmetic or the closed loop is not stable.
     """
     plant = problem.plant
-    candidate = _tidied(problem, _polished(problem, candidate))
+    candidate = _tidied(problem, candidate)
     eigenvalues, stays = lasting(candidate.N, plant.sample_time, problem.speed)
     if stays.any():
         return None
-    Phi_scaled = candidate.Phi
-    acts = acting(problem, Phi_scaled)
-    known = np.vstack([Phi_scaled, problem.C0])
-    k = len(Phi_scaled)
+    acts = acting(problem, candidate.Phi)
+    known, k = np.vstack([candidate.Phi, problem.C0]), len(candidate.Phi)
 
-    Phi = Phi_scaled / problem.scale
+    Phi = candidate.Phi / problem.scale
     size = np.abs(Phi).max(axis=1, initial=0.0)
     if np.any(size == 0):
         return None
     Phi = Phi / size[:, None]
     N = candidate.N / size[:, None] * size
     J = candidate.J / size[:, None] / problem.y0_size
-    Cv = problem.v_size * candidate.Cv * size
-    Q = problem.v_size * candidate.Q / problem.y0_size
+    Cv = problem.v_size[:, None] * candidate.Cv * size
+    Q = problem.v_size[:, None] * candidate.Q / problem.y0_size
 
+    rows = [plant.sensors.index(s) for s in problem.healthy]
+    Cu = plant.Cu[rows]
     P = np.where(acts, Phi @ plant.P, 0.0)
-    B = Phi @ plant.B
-    B = np.where(np.abs(B) < 1e-13 * (np.abs(Phi) @ np.abs(plant.B)), 0.0, B)
+    B = Phi @ plant.B - J @ Cu
+    B = np.where(np.abs(B) < 1e-13 * (np.abs(Phi) @ np.abs(plant.B) + np.abs(J) @ np.abs(Cu)),
+                 0.0, B)
     Gz, Gy = [], []
     for g, active in zip(plant.G, acts):
         split = np.zeros((len(g), len(known)))
         if active:
             split = _clean(solve_left(known, g * problem.scale))
         Gz.append(split[:, :k] * size)
-        Gy.append(split[:, k:] / problem.y0_size)
+        Gy.append(split[:, k:] @ problem.Y / problem.y0_size)
 
-    to_states = np.linalg.pinv(problem.C0) / problem.y0_size
-    z0_gain = Phi @ (problem.scale[:, None] * to_states)
-    C0 = plant.C[[plant.sensors.index(s) for s in problem.healthy]]
-    z0 = Phi @ plant.initial - z0_gain @ (C0 @ plant.initial)
-
+    # a first guess from what the sensors say of the states alone
+    plain = np.logical_not(Cu.any(axis=1) | plant.Cd[rows].any(axis=1))
+    C0 = plant.C[rows] * plain[:, None]
+    to_states = np.linalg.pinv(C0 * problem.scale / problem.y0_size[:, None]) / problem.y0_size
+    z0_gain = Phi @ (problem.scale[:, None] * to_states) * plain
     sensor = VirtualSensor(
         channel=problem.channel, fault_set=problem.fault_set, healthy=problem.healthy,
         inputs=plant.inputs, Phi=Phi, N=N, J=J, B=B, P=P, Cv=Cv, Q=Q,
-        Gz=tuple(Gz), Gy=tuple(Gy), terms=plant.terms, sample_time=plant.sample_time, z0=z0,
-        z0_gain=z0_gain, eigenvalues=eigenvalues[np.argsort(eigenvalues.real, kind='stable')],
-        noise_gain=noise_gain(N, J, Cv, Q, plant.sample_time), method=method)
+        Gz=tuple(Gz), Gy=tuple(Gy), terms=plant.terms, sample_time=plant.sample_time,
+        z0=Phi @ plant.initial - z0_gain @ (C0 @ plant.initial), z0_gain=z0_gain,
+        eigenvalues=eigenvalues[np.lexsort([eigenvalues.imag, eigenvalues.real])],
+        noise_gain=peak_gain(N, J, Cv, Q, plant.sample_time), method=method,
+        Qu=problem.wanted[1] - Q @ Cu, Gu=tuple(-gy @ Cu for gy in Gy))
     if max(equation_residuals(problem, sensor).values()) > EQUATION_TOLERANCE:
         return None
     return sensor if stable_with_terms(plant, sensor) else None
 
 
-def with_healthy(sensor: VirtualSensor, healthy: tuple[str, ...]) -> VirtualSensor:
-    """Let the columns of J, Q and Gy stand for more sensors, which are not read."""
-    columns = [healthy.index(name) for name in sensor.healthy]
-
-    def widened(M: np.ndarray) -> np.ndarray:
-        wide = np.zeros((len(M), len(healthy)))
-        wide[:, columns] = M
-        return wide
-
-    return replace(sensor, healthy=healthy, J=widened(sensor.J), Q=widened(sensor.Q),
-                   Gy=tuple(widened(g) for g in sensor.Gy), z0_gain=widened(sensor.z0_gain))
-
-
-def _polished(problem: Problem, candidate: Candidate) -> Candidate:
+def polished(problem: Problem, candidate: Candidate) -> Candidate:
     """Solve (E1) and (E3) once more to full precision where Phi alone decides them."""
     size = np.linalg.norm(candidate.Phi, axis=1)
     if not len(size) or np.any(size == 0) or len(measured_part(candidate.Phi, problem.C0)):
@@ -144,7 +126,8 @@ def _polished(problem: Problem, candidate: Candidate) -> Candidate:
     known, k = np.vstack([Phi, problem.C0]), len(Phi)
     NJ, CQ = (np.linalg.lstsq(known.T, R.T, rcond=None)[0].T
               for R in (Phi @ problem.A, problem.V))
-    return Candidate(Phi, NJ[:, :k], NJ[:, k:], CQ[:, :k], CQ[:, k:])
+    return Candidate(Phi, NJ[:, :k], NJ[:, k:] @ problem.Y + Phi @ problem.F,
+                     CQ[:, :k], CQ[:, k:] @ problem.Y + problem.Qv)
 
 
 def _tidied(problem: Problem, candidate: Candidate) -> Candidate:
@@ -168,17 +151,29 @@ def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
     towards zero, as dry friction does: otherwise the observer has two stable branches (the
     method, erratum 1, k7 = +1). No certificate: that is not in this generation.
     """
-    N = sensor.N
     for i in sensor.active:
-        term, gz = sensor.terms[i], sensor.Gz[i]
-        if set_valued(term) and sensor.sample_time is None:
-            if float(gz[0] @ sensor.P[:, i]) > 0:
+        if set_valued(sensor.terms[i]) and sensor.sample_time is None:
+            if float(sensor.Gz[i][0] @ sensor.P[:, i]) > 0:
                 return False
+    return not lasting(linearised(plant, sensor)[0], sensor.sample_time)[1].any()
+
+
+def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return N (k, k) and J (k, l0) with the nonlinear terms' slopes at the operating point.
+
+    Without those of a sign in continuous time, which are infinite where they are not zero.
+    """
+    N, J = sensor.N, sensor.J
+    for i in sensor.active:
+        term = sensor.terms[i]
+        if set_valued(term) and sensor.sample_time is None:
             continue
         slope = slope_at(term, plant.G[i] @ plant.operating_point, plant.inputs,
                          plant.operating_input) - term.slope
-        N = N + np.outer(sensor.P[:, i], slope @ gz)
-    return not lasting(N, sensor.sample_time)[1].any()
+        N = N + np.outer(sensor.P[:, i], slope @ sensor.Gz[i])
+        J = J + np.outer(sensor.P[:, i], slope @ sensor.Gy[i])
+    return N, J
 
 
 def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, float]:
@@ -186,32 +181,43 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
     Return the relative residuals of (E1) to (E4), from the plant's own matrices.
 
     Each row is measured in the scaled states against the data it is made of: |phi| |A|, |phi|
-    (D and P have columns of length one), |V| and |G|.
+    and |J| (D with Cd and P have columns of length one), |V| and |G|.
     """
     plant, Phi = problem.plant, sensor.Phi
-    C0 = plant.C[[plant.sensors.index(s) for s in problem.healthy]]
-    V = plant.C[[plant.sensors.index(problem.channel)]]
-
-    def relative(residual: np.ndarray, size: np.ndarray | float) -> float:
-        return float((np.linalg.norm(residual, axis=1) / size).max(initial=0.0))
+    rows = [plant.sensors.index(s) for s in problem.healthy]
+    C0, Cd = plant.C[rows], plant.Cd[rows]
+    V, _, Vd = problem.wanted
 
     def length(rows: np.ndarray) -> np.ndarray:
         return np.linalg.norm(rows * problem.scale, axis=1)
 
+    def relative(residual: np.ndarray, size: np.ndarray) -> float:
+        return float((np.linalg.norm(residual, axis=1) / np.maximum(size, 1e-300)).max(
+            initial=0.0))
+
+    n, J, Q = len(plant.A), sensor.J * problem.y0_size, sensor.Q * problem.y0_size
+    D = np.vstack([plant.D / problem.scale[:, None], Cd / problem.y0_size[:, None]])
+    D = D / np.maximum(np.linalg.norm(D, axis=0), 1e-300)
+    Vd = Vd / np.maximum(np.linalg.norm(np.vstack([Vd, Cd]), axis=0), 1e-300)
+    speed = max(float(np.linalg.norm(plant.A / problem.scale[:, None] * problem.scale, 2)),
+                1e-300)
+    unit_Cd = Cd / np.maximum(np.linalg.norm(np.vstack([problem.wanted[2], Cd]), axis=0), 1e-300)
     return {
         'E1': relative((Phi @ plant.A - sensor.N @ Phi - sensor.J @ C0) * problem.scale,
-                       length(Phi) * max(problem.speed, 1e-300)),
-        'E2': relative((Phi * problem.scale) @ problem.D, length(Phi)),
-        'E3': relative((V - sensor.Cv @ Phi - sensor.Q @ C0) * problem.scale,
-                       max(float(length(V)[0]), 1e-300)),
+                       length(Phi) * speed),
+        'E2': relative((Phi * problem.scale) @ D[:n] - J @ D[n:],
+                       length(Phi) + np.linalg.norm(J, axis=1)),
+        'E3': max(relative((V - sensor.Cv @ Phi - sensor.Q @ C0) * problem.scale,
+                           np.maximum(length(V), np.linalg.norm(Q, axis=1))),
+                  relative(Vd - sensor.Q @ unit_Cd, 1.0 + np.linalg.norm(sensor.Q, axis=1))),
         'E4': max((relative((plant.G[i] - sensor.Gz[i] @ Phi - sensor.Gy[i] @ C0)
-                            * problem.scale, np.maximum(length(plant.G[i]), 1e-300))
+                            * problem.scale, length(plant.G[i]))
                    for i in sensor.active), default=0.0),
     }
 
 
-def noise_gain(N: np.ndarray, J: np.ndarray, Cv: np.ndarray, Q: np.ndarray,
-               sample_time: float | None) -> float:
+def peak_gain(N: np.ndarray, J: np.ndarray, Cv: np.ndarray, Q: np.ndarray,
+              sample_time: float | None) -> float:
     """
     Return the peak over frequency of |Cv (s - N)^-1 J + Q|.
 
@@ -221,20 +227,23 @@ def noise_gain(N: np.ndarray, J: np.ndarray, Cv: np.ndarray, Q: np.ndarray,
     if Q.shape[1] == 0:
         return 0.0
     if len(N) == 0:
-        return float(np.linalg.norm(Q))
-    poles = np.linalg.eigvals(N)
+        return float(np.linalg.norm(Q, 2))
+    poles, right = np.linalg.eig(N)
     if sample_time is None:
         corner = np.abs(poles[np.abs(poles) > 0])
         low, high = (corner.min(), corner.max()) if corner.size else (1.0, 1.0)
         grid = np.concatenate([[0.0], np.geomspace(low / 30, high * 30, FREQUENCIES), corner])
-        s, feedthrough = 1j * grid, float(np.linalg.norm(Q))
+        s, feedthrough = 1j * grid, float(np.linalg.norm(Q, 2))
     else:
         angles = np.concatenate([np.linspace(0.0, np.pi, FREQUENCIES), np.abs(np.angle(poles)),
                                  np.geomspace(1e-6, np.pi, FREQUENCIES)])
         s, feedthrough = np.exp(1j * angles), 0.0
-    transfer = Cv @ np.linalg.solve(
-        s[:, None, None] * np.eye(len(N)) - N, np.broadcast_to(J, (len(s), *J.shape))) + Q
-    return float(max(feedthrough, np.linalg.norm(transfer[:, 0], axis=1).max()))
+    if np.linalg.cond(right) < 1e8:  # modal: k times faster
+        modal = np.linalg.solve(right, J.astype(complex))
+        transfer = np.array([(Cv @ right / (at - poles)) @ modal for at in s]) + Q
+    else:
+        transfer = np.array([Cv @ np.linalg.solve(at * np.eye(len(N)) - N, J) for at in s]) + Q
+    return float(max(feedthrough, np.linalg.norm(transfer, 2, axis=(1, 2)).max()))
 
 
 def _clean(M: np.ndarray) -> np.ndarray:

@@ -3,45 +3,63 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import matrix_balance
 from scipy.sparse.csgraph import connected_components
 
+from vsensor_ros.designer.subspaces import complement, image, in_row_space, RANK_TOLERANCE
 from vsensor_ros.plant import Plant
+
+SWEEPS = 30  # of balancing
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """
-    Estimate ``v = V x`` from ``y0 = C0 x``; both are rows of the plant's C.
+    Estimate ``v = V x + Qv y0`` from ``y0``, of which ``Y y0 = C0 x`` is free of unknown inputs.
 
-    The states are balanced (``x = scale * x_here``), the rows of C0 and V and the columns of D and
-    P have length one: units chosen by the user do not decide ranks (method 3.8).
+    The states are balanced (``x = scale * x_here``), the rows of C and V and the columns of D and
+    P have length one: units chosen by the user do not decide ranks (method 3.8). Commands that
+    sensors read directly are taken off beforehand. Where sensors read unknown inputs directly,
+    ``y1 = C1 x + Cd1 rho`` with Cd1 of full row rank, rho is replaced by what they say of it:
+    ``d x = (A - F C) x + F y0 + ..`` is then the plant, without these rows (this is what
+    ``Phi D = J Cd0`` and ``Vd = Q Cd0`` come to).
     """
 
     plant: Plant
     fault_set: tuple[str, ...]
     channel: str
     healthy: tuple[str, ...]
+    wanted: tuple[np.ndarray, np.ndarray, np.ndarray]  # v of x, u, rho: (p, n), (p, m), (p, d)
     A: np.ndarray  # (n, n)
-    C0: np.ndarray  # (l0, n)
-    V: np.ndarray  # (1, n)
+    C0: np.ndarray  # (l, n), l <= l0
+    V: np.ndarray  # (p, n)
     D: np.ndarray  # (n, d)
     P: np.ndarray  # (n, q)
     G: tuple[np.ndarray, ...]  # q of (r_i, n)
+    F: np.ndarray  # (n, l0)
+    Y: np.ndarray  # (l, l0)
+    Qv: np.ndarray  # (p, l0)
+    reads_unknown: bool  # v itself holds an unknown input that no healthy sensor reads
     scale: np.ndarray  # (n,)
     y0_size: np.ndarray  # (l0,): y0 = y0_size * y0_here
-    v_size: float  # v = v_size * v_here
+    v_size: np.ndarray  # (p,): v = v_size * v_here
 
-    @property
+    @cached_property
+    def modes(self) -> np.ndarray:
+        """Eigenvalues of the plant (n,) complex."""
+        return np.linalg.eigvals(self.plant.A).astype(complex)
+
+    @cached_property
     def speed(self) -> float:
         """Size of A, against which its rounding errors are measured."""
         return float(np.linalg.norm(self.A, 2))
 
     @property
     def C_star(self) -> np.ndarray:
-        """Outputs that the papers' designs may use: the healthy ones and v itself (l0 + 1, n)."""
+        """Outputs that the papers' designs may use: the healthy ones and v itself (l + 1, n)."""
         return np.vstack([self.C0, self.V])
 
     def decoupled(self, S: frozenset[int]) -> np.ndarray:
@@ -50,24 +68,39 @@ class Problem:
 
 
 def pose(plant: Plant, fault_set: tuple[str, ...], channel: str,
-         without: frozenset[str] = frozenset()) -> Problem:
+         wanted: np.ndarray | None = None) -> Problem:
     """
     State the problem of replacing one channel of a plant when a set of sensors has failed.
 
-    ``without``: healthy sensors that are not to be read either.
+    ``wanted`` (p, n): rows of a functional of the states, instead of the sensor ``channel``.
     """
-    healthy = tuple(s for s in plant.sensors if s not in fault_set and s not in without)
+    healthy = tuple(s for s in plant.sensors if s not in fault_set)
     rows = [plant.sensors.index(s) for s in healthy]
     scale = _state_scale(plant.A)
-    C0 = plant.C[rows] * scale
-    V = plant.C[[plant.sensors.index(channel)]] * scale
-    y0_size, v_size = _length(C0), _length(V)
-    G = tuple(g * scale for g in plant.G)
+    A, C = plant.A / scale[:, None] * scale, plant.C[rows] * scale
+    if wanted is None:
+        own = [plant.sensors.index(channel)]
+        target = plant.C[own], plant.Cu[own], plant.Cd[own]
+    else:
+        target = (wanted, np.zeros((len(wanted), len(plant.inputs))),
+                  np.zeros((len(wanted), len(plant.disturbances))))
+    V, Vd = target[0] * scale, target[2]
+    y0_size, v_size = _length(C), _length(V)
+    C, V = C / y0_size[:, None], V / v_size[:, None]
+    D, Cd, Vd = plant.D / scale[:, None], plant.Cd[rows] / y0_size[:, None], Vd / v_size[:, None]
+    size = np.where(D.any(axis=0), _length(D.T), _length(np.vstack([Cd, Vd]).T))
+    D, Cd, Vd = D / size, Cd / size, Vd / size
+
+    known = image(Cd.T)  # (d, r): combinations of rho that healthy sensors read
+    Y = complement(image(Cd))
+    read = np.linalg.pinv(Cd, rcond=RANK_TOLERANCE)
+    F, Qv = D @ read, Vd @ read
     return Problem(
-        plant, fault_set, channel, healthy, plant.A / scale[:, None] * scale,
-        C0 / y0_size[:, None], V / v_size[:, None],
-        _unit_columns(plant.D / scale[:, None]), _unit_columns(plant.P / scale[:, None]),
-        tuple(g / _length(g)[:, None] for g in G), scale, y0_size, float(v_size[0]))
+        plant, fault_set, channel, healthy, target, A - F @ C, Y @ C, V - Qv @ C,
+        _unit_columns(D @ complement(known).T, RANK_TOLERANCE),
+        _unit_columns(plant.P / scale[:, None]),
+        tuple(g * scale / _length(g * scale)[:, None] for g in plant.G), F, Y, Qv,
+        not in_row_space(Cd, Vd), scale, y0_size, v_size)
 
 
 def _state_scale(A: np.ndarray) -> np.ndarray:
@@ -79,6 +112,16 @@ def _state_scale(A: np.ndarray) -> np.ndarray:
     least squares, as large as the geometric mean of the two parts.
     """
     scale = matrix_balance(A, permute=False, separate=True)[1][0]
+    balanced = np.abs(A / scale[:, None] * scale)
+    off = balanced * (1 - np.eye(len(A)))
+    for _ in range(SWEEPS):  # beyond powers of two, so that units do not change the answer
+        for i in range(len(A)):
+            row, column = np.linalg.norm(off[i]), np.linalg.norm(off[:, i])
+            if row > 0 and column > 0:
+                factor = np.sqrt(row / column)
+                scale[i] *= factor
+                off[i] /= factor
+                off[:, i] *= factor
     balanced = np.abs(A / scale[:, None] * scale)
     count, part = connected_components(balanced > 0, directed=True, connection='strong')
     if count == 1:
@@ -103,5 +146,7 @@ def _length(M: np.ndarray) -> np.ndarray:
     return np.where(length > 0, length, 1.0)
 
 
-def _unit_columns(M: np.ndarray) -> np.ndarray:
+def _unit_columns(M: np.ndarray, rounding: float = 0.0) -> np.ndarray:
+    """Scale columns to length one; those of no more than ``rounding`` are zero."""
+    M = np.where(np.linalg.norm(M, axis=0) > rounding, M, 0.0)
     return M / _length(M.T)

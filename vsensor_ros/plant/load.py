@@ -2,11 +2,11 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states
-(unit, initial), inputs (unit, operating), disturbances (unit), sensors (measures, unit, noise),
-operating_point, and the right-hand side: dynamics, one equation a state, or matrices A, B, C,
-D, P with nonlinearities (function over w1.., of which combinations of states). Every number
-may be an expression of the parameters. What is wrong gives one BadInput line that names the
-file, the place and the mend.
+(unit, initial, process_noise, range), inputs (unit, operating), disturbances (unit), sensors
+(measures, unit, noise), operating_point, and the right-hand side: dynamics, one equation a state,
+or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
+states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
+that names the file, the place and the mend.
 """
 
 from __future__ import annotations
@@ -159,14 +159,17 @@ class _File:
         node = parse(value, self.path, key, known=(*variables, *self.parameters))
         return fold(substitute(node, self.parameters), self.path, key)
 
-    def linear(self, value: Any, key: str, states: Sequence[str]) -> np.ndarray:
-        form = affine(self.expression(value, key, states))
+    def linear(self, value: Any, key: str, variables: Sequence[str],
+               kinds: tuple[str, ...] = ('state',)) -> np.ndarray:
+        """Read a linear expression as one row over the variables, which are of these kinds."""
+        form = affine(self.expression(value, key, variables))
         if form is None or not form or '' in form:
-            raise self.fail(key, f'{shown(value)} is not linear in the states' if form is None
+            every = ', '.join(f'{kind}s' for kind in kinds)
+            raise self.fail(key, f'{shown(value)} is not linear in the {every}' if form is None
                             else f'{shown(value)} has an offset' if form
-                            else f'{shown(value)} holds no state',
-                            'write a sum of states with factors, such as level1 - level2')
-        return np.array([form.get(name, 0.0) for name in states])
+                            else f'{shown(value)} holds no {", ".join(kinds)}',
+                            f'write a sum of {every} with factors, such as level1 - level2')
+        return np.array([form.get(name, 0.0) for name in variables])
 
     def sample_time(self) -> float | None:
         value = self.content.get('time')
@@ -191,7 +194,7 @@ class _File:
             raise self.fail('description', 'is not a text', 'put it in quotes')
         sample_time = self.sample_time()
         parameters = self.section('parameters', ('value', 'unit'), 'value')
-        states = self.section('states', ('unit', 'initial'))
+        states = self.section('states', ('unit', 'initial', 'process_noise', 'range'))
         inputs = self.section('inputs', ('unit', 'operating'))
         disturbances = self.section('disturbances', ('unit',))
         sensors = self.section('sensors', ('measures', 'unit', 'noise'), 'measures')
@@ -217,24 +220,30 @@ class _File:
             if state in given:
                 point[i] = self.number(given[state], f'operating_point.{state}')
 
-        split, C = self.right_hand_side(tuple(states), tuple(inputs), tuple(disturbances),
-                                        point, u)
-        if C is None:
-            C = np.array([self.linear(
+        split, measured = self.right_hand_side(tuple(states), tuple(inputs),
+                                               tuple(disturbances), point, u)
+        everything = (*states, *inputs, *disturbances)
+        if measured is None:
+            measured = np.array([self.linear(
                 self.required(e, 'measures', f'sensors.{s}', 'say which state it measures'),
-                f'sensors.{s}.measures', tuple(states)) for s, e in sensors.items()])
+                f'sensors.{s}.measures', everything, ('state', 'input', 'disturbance'))
+                for s, e in sensors.items()])
         else:
             for sensor, entry in sensors.items():
                 if 'measures' in entry:
                     raise self.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                     'give one of the two')
+        C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
         return Plant.from_matrices(
             split.A, split.B, C, split.D, sample_time, P=split.P, G=split.G,
             nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
             sensors=tuple(sensors), disturbances=tuple(disturbances),
-            units=self.units(states, inputs, disturbances, sensors, C), initial=initial,
-            noise=[self.noise(s, e) for s, e in sensors.items()],
-            parameters=self.parameters, operating_point=point, operating_input=u, name=name,
+            units=self.units(states, inputs, disturbances, sensors, measured), initial=initial,
+            noise=[self.deviation(e, 'noise', f'sensors.{s}') for s, e in sensors.items()],
+            parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
+            process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
+                           for s, e in states.items()],
+            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], name=name,
             where=self.path)
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
@@ -242,26 +251,38 @@ class _File:
             raise self.fail(f'{key}.{what}', 'is missing', mend)
         return entry[what]
 
-    def noise(self, sensor: str, entry: Mapping[str, Any]) -> float:
-        if 'noise' not in entry:
+    def deviation(self, entry: Mapping[str, Any], what: str, place: str) -> float:
+        if what not in entry:
             return math.nan
-        key = f'sensors.{sensor}.noise'
-        value = self.number(entry['noise'], key)
+        value = self.number(entry[what], f'{place}.{what}')
         if value < 0.0:
-            raise self.fail(key, f'{value:g} is negative', 'give a standard deviation')
+            raise self.fail(f'{place}.{what}', f'{value:g} is negative',
+                            'give a standard deviation')
         return value
+
+    def range(self, entry: Mapping[str, Any], key: str) -> tuple[float, float]:
+        """Read [low, high], where null leaves a side open."""
+        sides = entry.get('range', [None, None])
+        mend = 'write [low, high] with low < high; null leaves a side open'
+        if not isinstance(sides, list) or len(sides) != 2:
+            raise self.fail(key, f'{shown(sides)} is not two numbers', mend)
+        low, high = (open_side if side is None else self.number(side, key)
+                     for side, open_side in zip(sides, (-math.inf, math.inf)))
+        if not low < high:
+            raise self.fail(key, f'{low:g} is not below {high:g}', mend)
+        return low, high
 
     def units(self, states: Mapping[str, Mapping[str, Any]],
               inputs: Mapping[str, Mapping[str, Any]],
               disturbances: Mapping[str, Mapping[str, Any]],
-              sensors: Mapping[str, Mapping[str, Any]], C: np.ndarray) -> dict[str, str]:
+              sensors: Mapping[str, Mapping[str, Any]], measured: np.ndarray) -> dict[str, str]:
         units = {name: entry.get('unit', '')
                  for group in (states, inputs, disturbances) for name, entry in group.items()}
-        for (name, entry), row in zip(sensors.items(), C):
+        everything = tuple(units)
+        for (name, entry), row in zip(sensors.items(), measured):
             # a sensor of one state alone has that state's unit unless it says otherwise
             alone = np.count_nonzero(row) == 1 and row.max(initial=0.0) == 1.0
-            of_state = units[tuple(states)[int(np.argmax(row))]] if alone else ''
-            unit = entry.get('unit', of_state)
+            unit = entry.get('unit', units[everything[int(np.argmax(row))]] if alone else '')
             if name in states and unit != units[name]:
                 raise self.fail(f'sensors.{name}.unit', f'{shown(unit)} differs from that of '
                                 f'the state {name}, {shown(units[name])}',
@@ -278,10 +299,10 @@ class _File:
                             else 'is missing', 'give one equation a state under dynamics, '
                             'or matrices')
         if not by_equations:
-            split, C = self.matrices(states, inputs, disturbances)
+            split, measured = self.matrices(states, inputs, disturbances)
             if 'operating_point' in self.content:
                 split = with_addends(split, point, inputs, u)
-            return split, C
+            return split, measured
         if 'nonlinearities' in self.content:
             raise self.fail('nonlinearities', 'stands beside dynamics',
                             'write them in the equations')
@@ -299,7 +320,8 @@ class _File:
 
     def matrices(self, states: tuple[str, ...], inputs: tuple[str, ...],
                  disturbances: tuple[str, ...]) -> tuple[Split, np.ndarray | None]:
-        given = self.mapping(self.content['matrices'], 'matrices', ('A', 'B', 'C', 'D', 'P'))
+        given = self.mapping(self.content['matrices'], 'matrices',
+                             ('A', 'B', 'C', 'Cu', 'Cd', 'D', 'P'))
         n = len(states)
         items = self.content.get('nonlinearities') or []
         if not isinstance(items, list):
@@ -322,12 +344,16 @@ class _File:
         sizes = {'A': n, 'B': len(inputs), 'D': len(disturbances), 'P': len(terms)}
         arrays = {letter: self.matrix(given.get(letter), f'matrices.{letter}', n, width)
                   for letter, width in sizes.items()}
-        C = None
-        if 'C' in given:
+        measured = None
+        if not given.keys().isdisjoint(('C', 'Cu', 'Cd')):
             sensors = len(self.content['sensors'])
-            C = self.matrix(given['C'], 'matrices.C', sensors, n)
+            blocks = [self.matrix(given.get('C'), 'matrices.C', sensors, n)]
+            for letter, width in (('Cu', len(inputs)), ('Cd', len(disturbances))):
+                blocks.append(self.matrix(given[letter], f'matrices.{letter}', sensors, width)
+                              if letter in given else np.zeros((sensors, width)))
+            measured = np.hstack(blocks)
         return Split(arrays['A'], arrays['B'], arrays['D'], arrays['P'], tuple(rows),
-                     tuple(terms)), C
+                     tuple(terms)), measured
 
     def matrix(self, value: Any, key: str, height: int, width: int) -> np.ndarray:
         if value is None and width:

@@ -38,7 +38,7 @@ _ARGUMENT = re.compile(r'w[0-9]+')
 @dataclass(frozen=True, eq=False)
 class Plant:
     """
-    d x = A x + B u + sum_i P[:, i] psi_i(G_i x, u) + D rho,  y = C x.
+    d x = A x + B u + sum_i P[:, i] psi_i(G_i x, u) + D rho,  y = C x + Cu u + Cd rho.
 
     d is the derivative, or the shift by `sample_time` seconds when that is not None; rho is
     unknown. n states, m inputs, l sensors, d disturbances, q nonlinear terms; the entries
@@ -64,6 +64,12 @@ class Plant:
     parameters: dict[str, float]
     operating_point: np.ndarray         # (n,), where the formal addends were taken
     operating_input: np.ndarray         # (m,), with it
+    Cu: np.ndarray                      # (l, m), what the sensors read directly of the inputs
+    Cd: np.ndarray                      # (l, d), and of the unknown inputs
+    # (n,), intensity of white noise that drives each state, NaN where unknown: [unit of the
+    # state per sqrt(s)], discrete: [unit of the state per step]
+    process_noise: np.ndarray
+    ranges: np.ndarray                  # (n, 2), where the states live; -inf, inf where unknown
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
@@ -75,7 +81,9 @@ class Plant:
                       units: Mapping[str, str] | None = None, initial: Any = None,
                       noise: Any = None, parameters: Mapping[str, float] | None = None,
                       operating_point: Any = None, operating_input: Any = None,
-                      name: str = 'plant', where: object = 'Plant.from_matrices') -> Plant:
+                      Cu: Any = None, Cd: Any = None, process_noise: Any = None,
+                      ranges: Any = None, name: str = 'plant',
+                      where: object = 'Plant.from_matrices') -> Plant:
         """
         Make a plant of arrays.
 
@@ -83,8 +91,10 @@ class Plant:
         of B, D, P and one row of C may be given flat. P (n, q), G: q arrays (r_i, n) or
         rows (n,), nonlinearities: q texts over w1..wr (w = G_i x) and the inputs' names, or
         terms. Names default to x1.., u1.., y1.., rho1..; a sensor may be called as a state.
-        A is taken as it stands: no formal addend is moved into it. where: what error lines
-        call the source. Raises BadInput.
+        A is taken as it stands: no formal addend is moved into it. Cu (l, m), Cd (l, d): zero
+        when None; flat for one sensor or one column. process_noise (n,), NaN where unknown;
+        ranges (n, 2), low < high, -inf and inf where unknown. where: what error lines call the
+        source. Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -136,7 +146,11 @@ class Plant:
                 'parameters').tolist())),
             operating_point=_vector(operating_point, start, where, 'operating_point'),
             operating_input=_vector(operating_input, np.zeros(len(input_names)), where,
-                                    'operating_input'))
+                                    'operating_input'),
+            Cu=_direct(Cu, len(c), b.shape[1], where, 'Cu'),
+            Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
+            process_noise=_noise(process_noise, n, where, 'process_noise'),
+            ranges=_ranges(ranges, n, where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -154,7 +168,7 @@ class Plant:
         return total if rho is None else total + self.D @ _beside(rho, x)
 
     def hash(self) -> str:
-        """Return the SHA-256 of what a design depends on: names, arrays, terms, start."""
+        """Return the SHA-256 of what a design depends on: names, arrays, terms, noise, start."""
         digest = hashlib.sha256()
 
         def add(*parts: object) -> None:
@@ -165,7 +179,8 @@ class Plant:
                 digest.update(f'{len(str(part))}:{part};'.encode())
 
         add(self.name, self.states, self.inputs, self.sensors, self.disturbances,
-            self.A, self.B, self.C, self.D, self.P, self.initial,
+            self.A, self.B, self.C, self.D, self.P, self.Cu, self.Cd, self.initial,
+            self.noise, self.process_noise, self.ranges,
             'continuous' if self.sample_time is None else float(self.sample_time).hex())
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
@@ -211,8 +226,9 @@ def _beside(values: Any, x: np.ndarray) -> np.ndarray:
     return values[:, np.newaxis] if values.ndim < x.ndim else values
 
 
-def _array(value: Any, where: object, key: str, unknown: bool = False) -> np.ndarray:
-    # a frozen copy; unknown: NaN is allowed
+def _array(value: Any, where: object, key: str, unknown: bool = False,
+           infinite: bool = False) -> np.ndarray:
+    # a frozen copy; unknown: NaN is allowed; infinite: so is infinity
     try:
         array = np.asarray(value)
         if array.dtype.kind not in 'biufO':    # texts, dates and complex numbers are none
@@ -221,9 +237,9 @@ def _array(value: Any, where: object, key: str, unknown: bool = False) -> np.nda
     except (TypeError, ValueError, OverflowError):
         raise BadInput(where, key, f'{shown(value)} is not a matrix of real numbers',
                        'give rows of equal length') from None
-    if np.isinf(array).any() or (np.isnan(array).any() and not unknown):
+    if (np.isinf(array).any() and not infinite) or (np.isnan(array).any() and not unknown):
         raise BadInput(where, key, 'holds NaN or infinity', 'give finite numbers')
-    if (abs(array) > LARGEST).any():
+    if (abs(array[np.isfinite(array)]) > LARGEST).any():
         raise BadInput(where, key, f'holds a number beyond {LARGEST:g}', 'choose other units')
     array.flags.writeable = False
     return array
@@ -258,11 +274,35 @@ def _vector(value: Any, default: np.ndarray, where: object, key: str,
     return array
 
 
-def _noise(value: Any, count: int, where: object) -> np.ndarray:
-    array = _vector(value, np.full(count, np.nan), where, 'noise', unknown=True)
+def _noise(value: Any, count: int, where: object, key: str = 'noise') -> np.ndarray:
+    array = _vector(value, np.full(count, np.nan), where, key, unknown=True)
     if (array < 0.0).any():
-        raise BadInput(where, 'noise', f'{shown(value)} is negative somewhere',
+        raise BadInput(where, key, f'{shown(value)} is negative somewhere',
                        f'give {count} standard deviations, NaN where unknown')
+    return array
+
+
+def _direct(value: Any, height: int, width: int, where: object, key: str) -> np.ndarray:
+    # what a sensor reads directly; flat: the row of the only sensor, or the only column
+    array = np.zeros((height, width)) if value is None else _array(value, where, key)
+    if array.ndim == 1 and array.size == height * width and 1 in (height, width):
+        array = array.reshape(height, width)
+    if array.shape != (height, width):
+        raise BadInput(where, key, f'has shape {array.shape}',
+                       f'give one row of {width} numbers a sensor')
+    array.flags.writeable = False
+    return array
+
+
+def _ranges(value: Any, n: int, where: object) -> np.ndarray:
+    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where,
+                   'ranges', infinite=True)
+    if array.shape != (n, 2):
+        raise BadInput(where, 'ranges', f'has shape {array.shape}',
+                       f'give {n} rows of low and high, one a state')
+    if not (array[:, 0] < array[:, 1]).all():
+        raise BadInput(where, 'ranges', f'{shown(value)} has a low that is not below its high',
+                       'give low < high, -inf and inf where unknown')
     return array
 
 

@@ -46,6 +46,21 @@ def simulate(plant: Plant, t: ArrayLike, inputs: Signal = None, disturbances: Si
     return np.array(states)
 
 
+def readings(plant: Plant, t: ArrayLike, x: ArrayLike, inputs: Signal = None,
+             disturbances: Signal = None) -> Array:
+    """
+    Return what the sensors say without noise, C x + Cu u + Cd rho, shape (T, l).
+
+    t (T,), `inputs` and `disturbances` as given to `simulate`, x (T, n) as it returned. A sensor
+    that reads a command directly sees at t[k] the one that begins there.
+    """
+    t, x = np.asarray(t, float), np.asarray(x, float)
+    u, _ = _signal(inputs, t, plant.B.shape[1], 'inputs')
+    rho, _ = _signal(disturbances, t, plant.D.shape[1], 'disturbances')
+    return np.array([plant.C @ x[k] + plant.Cu @ u(k, t[k]) + plant.Cd @ rho(k, t[k])
+                     for k in range(len(t))])
+
+
 def _signal(signal: Signal, t: Array, width: int, what: str,
             ) -> tuple[Held, NDArray[np.intp]]:
     """Return the signal as a function of the row being held and of time, and where it jumps."""

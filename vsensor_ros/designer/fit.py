@@ -1,0 +1,230 @@
+"""
+The quietest virtual sensor with a given characteristic polynomial.
+
+With N given, all rows W that satisfy ``W A = N W + j E`` are affine in free gains, v asks for
+linear equations of them, and the noise is a quadratic form: least squares. N is modal (S (19) and
+R (14) in the quotient, all solutions kept) or, where roots repeat, of Hessenberg form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import qr, solve_continuous_lyapunov, solve_discrete_lyapunov
+
+from vsensor_ros.designer.noise import NoiseModel
+from vsensor_ros.designer.observer import Candidate
+from vsensor_ros.designer.order import start_row
+from vsensor_ros.designer.quotient import Quotient
+from vsensor_ros.designer.subspaces import left_kernel, RANK_TOLERANCE, solve_left
+
+APART = 1e-6  # of A's size: an eigenvalue of A nearer than this is met exactly
+REPEATED = 1e-3  # relative: roots nearer than this are taken for repeated
+MOST_MODES = 120  # beyond, the filter and closed subspaces have to do
+LARGEST = 20_000_000  # numbers in the largest array made here
+SPARING = 1.1  # reading fewer sensors may cost so much noise
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """
+    All solutions of ``W A = N W + j E``, ``v = Cv W + g E`` for one N.
+
+    ``W = W0 + gains W_``, ``j = gains j_``, ``g = gains g_`` under ``gains M = target``.
+    """
+
+    N: np.ndarray  # (k, k)
+    Cv: np.ndarray  # (1, k)
+    W0: np.ndarray  # (k, r)
+    W_: np.ndarray  # (u, k, r)
+    j_: np.ndarray  # (u, k, c)
+    g_: np.ndarray  # (u, c)
+    M: np.ndarray  # (u, r)
+    target: np.ndarray  # (r,)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """All virtual sensors with one N: gains ``best + t Z``, variance ``variance + |t|^2``."""
+
+    known: Quotient
+    noise: NoiseModel
+    form: Form
+    best: np.ndarray  # (u,)
+    Z: np.ndarray  # (f, u)
+    variance: float
+
+    def candidate(self, gains: np.ndarray) -> Candidate:
+        """Return the virtual sensor with these gains (u,), in the coordinates of its problem."""
+        form, known = self.form, self.known
+        W = form.W0 + np.tensordot(gains, form.W_, 1)
+        return Candidate(W @ known.Phi, form.N,
+                         np.tensordot(gains, form.j_, 1) @ known.R + W @ known.J, form.Cv,
+                         (gains @ form.g_)[None, :] @ known.R + known.q)
+
+    def sparing(self) -> np.ndarray:
+        """
+        Return gains that read as few sensors as they can at little more noise.
+
+        What is not read can fail, too.
+        """
+        known, form = self.known, self.form
+        reads = np.concatenate([form.W_ @ known.J + form.j_ @ known.R,
+                                (form.g_ @ known.R)[:, None, :]], axis=1) * self.noise.reading
+        offset = np.vstack([form.W0 @ known.J, known.q]) * self.noise.reading
+        now, moves = offset + np.tensordot(self.best, reads, 1), np.tensordot(self.Z, reads, 1)
+        limit = (SPARING**2 - 1) * self.variance
+        size = np.abs(now).max(axis=0) if now.size else np.zeros(0)
+        left_out: list[int] = []
+        t = np.zeros(len(self.Z))
+        for a in np.argsort(size) if len(self.Z) else ():
+            chosen = [*left_out, int(a)]
+            system = moves[:, :, chosen].reshape(len(self.Z), -1)
+            goal = -now[:, chosen].ravel()
+            tried = np.linalg.lstsq(system.T, goal, rcond=RANK_TOLERANCE)[0]
+            miss = np.abs(tried @ system - goal).max(initial=0.0)
+            if miss <= 1e-10 * np.abs(now).max() and tried @ tried <= limit:
+                left_out, t = chosen, tried
+        return np.asarray(self.best + t @ self.Z)
+
+
+def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
+    """
+    Return all virtual sensors of one functional with this spectrum, around the quietest.
+
+    ``spectrum`` (k,) closed under conjugation; where eigenvalues repeat, ``fit_hessenberg`` is
+    to be taken. None when there is no virtual sensor.
+    """
+    k, c = len(spectrum), len(known.E)
+    if k > MOST_MODES:
+        return None
+    modes = list(_modes(known, spectrum))
+    u = sum(len(X) * (1 if value.imag == 0 else 2) for value, X, _ in modes) + c
+    if u * max(k, 1) * known.order > LARGEST:
+        return None
+    N, Cv = np.zeros((k, k)), np.zeros((1, k))
+    W_, j_, g_ = np.zeros((u, k, known.order)), np.zeros((u, k, c)), np.zeros((u, c))
+    row = gain = 0
+    for value, X, G in modes:
+        s = len(X)
+        Cv[0, row] = 1.0
+        for array, part in ((W_, X), (j_, G)):
+            array[gain:gain + s, row] = part.real
+            if value.imag:  # rows and gains are real part and imaginary part
+                array[gain:gain + s, row + 1] = part.imag
+                array[gain + s:gain + 2 * s, row] = -part.imag
+                array[gain + s:gain + 2 * s, row + 1] = part.real
+        if value.imag:
+            N[row:row + 2, row:row + 2] = [[value.real, -value.imag], [value.imag, value.real]]
+        else:
+            N[row, row] = value.real
+        row, gain = (row + 1, gain + s) if value.imag == 0 else (row + 2, gain + 2 * s)
+    g_[gain:] = np.eye(c)
+    M = np.einsum('k,ukr->ur', Cv[0], W_) + g_ @ known.E
+    return _least(known, noise, Form(N, Cv, np.zeros((k, known.order)), W_, j_, g_, M,
+                                     known.v[0]))
+
+
+def repeated(spectrum: np.ndarray) -> bool:
+    """Tell whether two eigenvalues are so near that the modal form is ill-conditioned."""
+    gaps = np.abs(np.subtract.outer(spectrum, spectrum)) + np.diag(np.full(len(spectrum), np.inf))
+    return bool(len(spectrum) > 1 and gaps.min() < REPEATED * np.abs(spectrum).max())
+
+
+def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | None:
+    """
+    Return all virtual sensors whose N (k, k) is a member of a ``Family``, around the quietest.
+
+    The first row of W is v less readings, each further row follows from the one before, and the
+    last equation of ``W A = N W + j E`` is the condition on the gains.
+    """
+    k, c, r = len(N), len(known.E), known.order
+    u = (k + 1) * c
+    if k > MOST_MODES or u * k * r > LARGEST:
+        return None
+    start, size = start_row(known)
+    W0, W_ = np.zeros((k + 1, r)), np.zeros((u, k + 1, r))
+    j_, g_ = np.zeros((u, k, c)), np.zeros((u, c))
+    g_[k * c:] = np.eye(c)
+    W0[0], W_[:, 0] = start, -g_ @ known.E / size
+    for i in range(k):
+        j_[i * c:(i + 1) * c, i] = np.eye(c)
+        step = N[i, i + 1] if i < k - 1 else 1.0
+        W0[i + 1] = (W0[i] @ known.A - N[i, :i + 1] @ W0[:i + 1]) / step
+        W_[:, i + 1] = (W_[:, i] @ known.A - np.einsum('i,uir->ur', N[i, :i + 1], W_[:, :i + 1])
+                        - j_[:, i] @ known.E) / step
+    Cv = np.zeros((1, k))
+    Cv[0, 0] = size
+    return _least(_less(known, known.v[0] - size * start), noise,
+                  Form(N, Cv, W0[:k], W_[:, :k], j_, g_, W_[:, k], -W0[k]))
+
+
+def _less(known: Quotient, measured: np.ndarray) -> Quotient:
+    """Return the quotient with a row (r,) of v, made of rows of E, moved to the readings q."""
+    g = solve_left(known.E, measured[None, :])
+    return replace(known, v=known.v - g @ known.E, q=known.q + g @ known.R)
+
+
+def _modes(known: Quotient, spectrum: np.ndarray,
+           ) -> Iterator[tuple[complex, np.ndarray, np.ndarray]]:
+    """Yield for each real eigenvalue and each pair all rows ``X (A - value) = G E``."""
+    A, E = known.A, known.E
+    for value in (complex(v) for v in spectrum if v.imag >= 0):
+        shifted = A - (value if value.imag else value.real) * np.eye(len(A))
+        size = max(known.speed, abs(value), np.finfo(float).tiny)
+        if np.abs(known.spectrum - value).min() > APART * size:
+            yield value, np.linalg.solve(shifted.T, E.T).T, np.eye(len(E))
+        else:  # orthonormal rows [x, -g] with x (A - value) - g E = 0
+            rows = left_kernel(np.vstack([shifted / size, E]))
+            yield value, rows[:, :len(A)], -rows[:, len(A):] * size
+
+
+def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
+    """Find the gains of least noise under ``gains M = target``, and the directions left free."""
+    gram, linear, constant = _noise_form(known, noise, form)
+    M, v = form.M, form.target
+    size = 1.0 / np.sqrt(np.diag(gram) + 1e-30 + 1e-12 * np.diag(gram).max(initial=0.0))
+    scaled = size[:, None] * M
+    Q, R, _ = qr(scaled, pivoting=True)  # (u, u), (u, r)
+    diagonal = np.abs(np.diag(R))
+    r = int(np.sum(diagonal > 1e-13 * diagonal.max(initial=0.0)))
+    start = np.linalg.lstsq(scaled.T, v, rcond=1e-14)[0]
+    start = start + np.linalg.lstsq(scaled.T, v - start @ scaled, rcond=1e-14)[0]
+    wanted = max(np.linalg.norm(v), np.linalg.norm(known.v) if form.W0.any() else 0.0)
+    if np.linalg.norm(v - start @ scaled) > RANK_TOLERANCE * wanted:
+        return None
+    best, free = start * size, Q[:, r:].T * size
+    if len(free):
+        H = free @ gram @ free.T
+        values, vectors = np.linalg.eigh(0.5 * (H + H.T))
+        values = np.maximum(values, 1e-14 * max(values.max(initial=0.0), 1e-300))
+        free = (vectors / np.sqrt(values)).T @ free
+        best = best - (free @ (gram @ best + linear)) @ free
+        # the projection must not have cost what was solved
+        best = best + np.linalg.lstsq(scaled.T, v - best @ M, rcond=1e-14)[0] * size
+    with np.errstate(over='ignore', invalid='ignore'):  # of gains beyond use
+        variance = float(best @ gram @ best + 2 * linear @ best + constant)
+    if not np.isfinite(variance):
+        return None
+    return Fit(known, noise, form, best, free, max(variance, 0.0))
+
+
+def _noise_form(known: Quotient, noise: NoiseModel,
+                form: Form) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return gram (u, u), linear (u,), constant: variance = g gram g' + 2 linear g + constant."""
+    B, D = noise.drives(known)
+    k, u = len(form.N), len(form.g_)
+    square, offset = np.zeros((u, 0)), np.zeros(0)
+    if k:
+        observed = form.Cv.T @ form.Cv  # e is weighed by the Gramian of what v shows of it
+        weight = (solve_continuous_lyapunov(form.N.T, -observed) if noise.sample_time is None
+                  else solve_discrete_lyapunov(form.N.T, observed))
+        values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # (k, k)
+        square = (root @ (form.W_ @ B - form.j_ @ D)).reshape(u, k * B.shape[1])
+        offset = (root @ form.W0 @ B).ravel()
+    square = np.hstack([square, (form.g_ @ known.R) * noise.reading])
+    offset = np.concatenate([offset, known.q[0] * noise.reading])
+    return square @ square.T, square @ offset, float(offset @ offset)
