@@ -306,3 +306,11 @@ def test_progress_is_shown_on_a_terminal_only(tmp_path):
         os.close(theirs)
     assert '\r\x1b[K1/3 y2 without y2' in shown
     assert shown.endswith('\r\x1b[K')  # nothing is left of it
+
+
+def test_ctrl_c_ends_in_one_line(tmp_path, capsys, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+    monkeypatch.setattr('vsensor_ros.command.designer.design', stop)
+    assert main([str(SERVO), '-o', str(tmp_path / 'x')]) == 130
+    assert capsys.readouterr().err == 'designer: stopped\n' and not (tmp_path / 'x').exists()

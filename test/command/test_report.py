@@ -169,7 +169,7 @@ def test_hostile_texts_are_only_texts(text):
         (('y1',), 'y1'): Refusal('y1', ('y1',), f'reason {text}', (f'doubt {text}',),
                                  f'or {text}'),
         (('y2',), 'y2'): replace(entry, method=text, certificate=Certificate(
-            'region', 1.0, 1.0, np.eye(entry.order), ((text, 0.0, 1.0),), None, text))}
+            'region', 1.0, 1.0, np.eye(entry.order), ((f'w {text}', 0.0, 1.0),), None, text))}
     result = replace(result, entries=entries, plant_name=text)
     made = page(plant, result, locations(plant))
     shown = Page(made)
@@ -181,7 +181,7 @@ def test_hostile_texts_are_only_texts(text):
     assert f'Virtual sensors of {text}' in shown.text
     for needle in (f'reason {text}', f'In doubt: doubt {text}', f'Instead: or {text}'):
         assert needle in shown.sections['e1']
-    assert f'0 <= {text} <= 1' in shown.sections['e2']
+    assert f'only while 0 <= w {text} <= 1: {text}' in shown.sections['e2']
     for svg in re.findall(r'<svg.*?</svg>', made, re.DOTALL):
         labels = ''.join(ElementTree.fromstring(svg).itertext())
         assert f'y2 [{text}]' in labels
@@ -220,6 +220,18 @@ def test_a_run_that_cannot_be_shown_says_why():
         runs.from_wrong_start(stiff, result, v)
     shown = Page(page(stiff, result))
     assert 'The run from a wrong start is not shown: the plant ' in shown.text
+
+
+def test_what_there_is_to_see(monkeypatch):
+    twice = Plant.from_matrices([[-1.0]], None, [[1.0], [2.0]])
+    text = page(twice, design(twice))  # no state, no unknown input
+    assert text.count('It has no state that could start wrong.') == 2 and '<svg' not in text
+    growing = Plant.from_matrices([[0.5, 1], [0, 0.3]], None, np.eye(2))
+    truth = np.array([0.0, 12345.0])
+    monkeypatch.setattr(runs, 'from_wrong_start', lambda *_: runs.Run(
+        np.array([0.0, 2.0]), truth, truth - [1.0, 0.5], np.zeros((2, 0)), truth))
+    assert ('the error goes from 1 to 0.5 in 2 s, while the truth runs away to 1.23e+04.'
+            in page(growing, design(growing)))
 
 
 def test_wanted_functionals_are_shown_too():

@@ -41,8 +41,10 @@ th, td { text-align: left; padding: .15rem .7rem .15rem 0; vertical-align: top;
   border-bottom: 1px solid #e2e2e2; }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 table.facts th { font-weight: normal; color: #666; white-space: nowrap; }
-table.pairs td { text-align: center; padding: .1rem .35rem; border: 1px solid #ddd; }
-table.pairs th { padding: .1rem .4rem; border: 0; font-weight: normal; }
+table.pairs { font-size: .75em; }
+table.pairs td { text-align: center; padding: .05rem .2rem; border: 1px solid #ddd; }
+table.pairs th { padding: .05rem .2rem; border: 0; font-weight: normal; }
+table.pairs tr:last-child th { writing-mode: vertical-rl; }
 .yes { background: #d9f0dc; } .bounded { background: #fdf0c8; } .no { background: #f8d7d3; }
 .small, figcaption { color: #555; font-size: .88em; }
 tr.taken td { font-weight: bold; }
@@ -327,13 +329,19 @@ def _figure(plant: Plant, design: Design, entry: VirtualSensor, salt: str) -> st
     unit = design.units.get(entry.channel, '')
     said: list[str] = []
     start = pushed = None
-    try:
-        start = runs.from_wrong_start(plant, design, entry)
-        first, last = np.abs(start.error[[0, -1]])
-        said.append(f'From a wrong start the error goes from {words.number(first, unit)} to '
-                    f'{words.number(last, unit)} in {words.number(start.time[-1], "s")}.')
-    except runs.NotRun as why:
-        said.append(f'The run from a wrong start is not shown: {why}.')
+    if not entry.order:
+        said.append('It has no state that could start wrong.')
+    else:
+        try:
+            start = runs.from_wrong_start(plant, design, entry)
+            first, last = np.abs(start.error[[0, -1]])
+            reach = float(np.abs(start.truth).max())
+            said.append(f'From a wrong start the error goes from {words.number(first, unit)} to '
+                        f'{words.number(last, unit)} in {words.number(start.time[-1], "s")}' + (
+                            f', while the truth runs away to {words.number(reach, unit)}'
+                            if reach > 1e3 * first else '') + '.')
+        except runs.NotRun as why:
+            said.append(f'The run from a wrong start is not shown: {why}.')
     if plant.disturbances:
         try:
             pushed = runs.disturbed(plant, design, entry)

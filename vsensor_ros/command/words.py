@@ -179,7 +179,8 @@ def certificate(entry: VirtualSensor) -> list[str]:
     if c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
-        region = ', '.join(f'{number(low)} <= {of} <= {number(high)}' for of, low, high in c.region)
+        region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
+                           for of, low, high in c.region)
         where = ('everywhere' if c.status == 'global' else 'only in a region'
                  if all(of in c.reason for of, _, _ in c.region) else f'only while {region}')
         said = [f'certified {where}: {c.reason}',

@@ -38,6 +38,8 @@ from vsensor_ros.virtual_sensor import Noise, OrderStep, Proof, Refusal, Rung, V
 
 QUIET = 2.0  # the least order is taken whose noise is within this factor of the best
 SLUGGISH = 0.5  # of the wanted decay rate: slower is taken only where nothing is faster
+LIVELY = 1.5  # where no rate is wanted, the fastest is taken at so much of the least noise
+SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
 MOST_RUNGS = 12  # looked at, before the filter is taken instead
 
 _Rungs = dict[int, tuple[Contender, VirtualSensor]]
@@ -77,7 +79,7 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
             family = proof if ground.known is base.known else next(ascent, None)
             if k and family is not None and family[0] is not None:
                 here += of_family(ground, family[0])
-        found = _stand(problem, where, here, wanted)
+        found = _stand(problem, where, here, wanted, 1.0 if decay else LIVELY)
         if found is None:
             step = _excluded(k, base, proof, bound)
         else:
@@ -95,7 +97,7 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
     if not rungs:
         reserve += [c for g in where for c in closed(g)]
     for k in sorted({c.order for c in reserve}):
-        found = _stand(problem, [], [c for c in reserve if c.order == k], wanted)
+        found = _stand(problem, [], [c for c in reserve if c.order == k], wanted, 1.0)
         if found is not None:
             rungs.setdefault(k, found)
     if not rungs:
@@ -115,30 +117,35 @@ def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
             yield family, gap
 
 
-def _stand(problem: Problem, where: list[Ground], contenders: list[Contender],
-           wanted: float) -> tuple[Contender, VirtualSensor] | None:
+def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], wanted: float,
+           lively: float) -> tuple[Contender, VirtualSensor] | None:
     """
-    Build the quietest contender that is fast enough, or one as quiet that reads fewer sensors.
+    Build the quietest contender that is fast enough, or one nearly as good that reads less.
 
-    Contenders that fail the check of their equations are left out.
+    With ``lively`` the fastest within so much of the least noise. Contenders that fail the check
+    of their equations are left out.
     """
     while contenders:
         fast = _fast(contenders, wanted)
-        quietest = min(fast, key=lambda c: c.error)
-        sensor = build(problem, quietest.candidate, quietest.method)
+        limit = lively * min(c.error for c in fast)
+        best = max((c for c in fast if c.error <= limit),
+                   key=lambda c: (c.decay if lively > 1 else 0.0, -c.error))
+        sensor = build(problem, best.candidate, best.method)
         if sensor is None:
-            contenders = [c for c in contenders if c is not quietest]
+            contenders = [c for c in contenders if c is not best]
             continue
-        rivals = [c for c in fast if c.error <= SPARING * quietest.error and c is not quietest]
-        if len(problem.V) == 1 and quietest.order:  # the same spectrum, with fewer sensors read
+        rivals = [c for c in fast if c is not best]
+        if len(problem.V) == 1 and best.order:  # the same spectrum, with fewer sensors read
             rivals += [c for g in where for c in of_spectra(g, [sensor.eigenvalues])
-                       if c.order == quietest.order and c.error <= SPARING * quietest.error]
-        best = quietest, sensor
+                       if c.order == best.order]
+        chosen = best, sensor
         for rival in rivals:
+            if rival.error > SPARING * best.error or rival.decay < best.decay / SLOWER:
+                continue
             other = build(problem, rival.candidate, rival.method)
-            if other is not None and len(other.reads) < len(best[1].reads):
-                best = rival, other
-        return best
+            if other is not None and len(other.reads) < len(chosen[1].reads):
+                chosen = rival, other
+        return chosen
     return None
 
 

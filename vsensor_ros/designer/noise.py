@@ -86,7 +86,7 @@ def usual_decay(problem: Problem) -> float:
     values, h = problem.modes, problem.plant.sample_time
     rates = -values.real if h is None else -np.log(np.maximum(np.abs(values), 1e-9)) / h
     mean = mean_rate(problem)
-    return float(min(0.25 * mean, rates[rates > 1e-6 * mean].min(initial=np.inf)))
+    return float(min(0.5 * mean, rates[rates > 1e-6 * mean].min(initial=np.inf)))
 
 
 def noise_model(problem: Problem) -> NoiseModel:
