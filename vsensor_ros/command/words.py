@@ -194,7 +194,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
 
 def _bound(c: Certificate) -> str:
     if not np.isfinite(c.bound):
-        return ''
+        return '; no bound is proved on what wrong readings do'
     return f'; readings wrong by 1 put it out by at most {number(c.bound)}'
 
 

@@ -223,7 +223,10 @@ def _noise_form(known: Quotient, noise: NoiseModel,
                   else solve_discrete_lyapunov(form.N.T, observed))
         values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # (k, k)
-        square = (root @ (form.W_ @ B - form.j_ @ D)).reshape(u, k * B.shape[1])
+        driven = np.zeros((u, k, B.shape[1]))
+        busy = form.W_.any(axis=2) | form.j_.any(axis=2)  # in modal form each gain has one mode
+        driven[busy] = form.W_[busy] @ B - form.j_[busy] @ D
+        square = (root @ driven).reshape(u, k * B.shape[1])
         offset = (root @ form.W0 @ B).ravel()
     square = np.hstack([square, (form.g_ @ known.R) * noise.reading])
     offset = np.concatenate([offset, known.q[0] * noise.reading])

@@ -57,9 +57,9 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
     assert existence.quotient is not None
     noise = noise_model(problem)
     wanted = usual_decay(problem) if decay is None else decay
-    base = Ground(problem, existence.quotient, np.zeros((0, existence.quotient.order)), noise,
-                  wanted)
     where = grounds(problem, existence, avoid, noise, wanted)
+    base = where[0] if where[0].known is existence.quotient else Ground(
+        problem, existence.quotient, where[0].terms[:0], noise, wanted)
     steps: list[OrderStep] = []
     freedom = exact.freedom[0] if exact else None
     doubts = doubtful(existence.gap, 'whether one exists', exact)
@@ -222,7 +222,7 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     steps = [s for s in steps if s.order < lower or s.verdict != 'impossible']
     ladder = tuple(Rung(order, c.error, v.noise_gain, c.decay, v.method)
                    for order, (c, v) in sorted(rungs.items()))
-    least = base.filter.variance * base.problem.v_size.max() ** 2 if base.filter else np.nan
+    least = base.filter.floor * base.problem.v_size.max() ** 2 if base.filter else np.nan
     floor = min([c.error for c, _ in rungs.values()] + (
         [float(np.sqrt(max(least, 0.0)))] if np.isfinite(least) else []))
     return replace(sensor, ladder=ladder,

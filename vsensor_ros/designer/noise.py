@@ -115,6 +115,7 @@ class Filter:
     Cv: np.ndarray  # (p, r)
     g: np.ndarray  # (p, c)
     variance: float  # of its estimate of v, largest row
+    floor: float = 0.0  # the same if, besides, the newest reading were used at once: nothing is better
 
 
 def kalman(known: Quotient, noise: NoiseModel, shift: float = 0.0) -> Filter | None:
@@ -129,8 +130,8 @@ def kalman(known: Quotient, noise: NoiseModel, shift: float = 0.0) -> Filter | N
     A, E, r = known.A, known.E, known.order
     none = np.zeros((len(known.v), len(E)))
     if not len(E):
-        return Filter(np.zeros((r, 0)), known.v, none,
-                      noise.variance(A, B, known.v, known.q) if shift == 0 else np.inf)
+        alone = noise.variance(A, B, known.v, known.q) if shift == 0 else np.inf
+        return Filter(np.zeros((r, 0)), known.v, none, alone, alone)
     meter = meter + np.eye(len(meter)) * FAINTEST**2 * np.trace(meter)
     W = W + np.eye(r) * FAINTEST**2 * np.trace(W) / r
     try:
@@ -147,9 +148,21 @@ def kalman(known: Quotient, noise: NoiseModel, shift: float = 0.0) -> Filter | N
             Cv = known.v - g @ E
         N = A - L @ E
         variance = noise.variance(N, B - L @ D, Cv, g @ known.R + known.q)
+        floor = variance if noise.sample_time else min(variance, _at_once(known, noise, P))
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return Filter(L, Cv, g, variance)
+    return Filter(L, Cv, g, variance, floor)
+
+
+def _at_once(known: Quotient, noise: NoiseModel, P: np.ndarray) -> float:
+    """Return the variance of v, largest row, when a reading is added to an estimate of error P."""
+    E, R = known.E, known.R * noise.reading
+    q = known.q * noise.reading
+    g = np.linalg.lstsq((E @ P @ E.T + R @ R.T).T, (known.v @ P @ E.T - q @ R.T).T,
+                        rcond=None)[0].T
+    rest = known.v - g @ E
+    return float((np.einsum('pi,ij,pj->p', rest, P, rest)
+                  + np.sum((g @ R + q) ** 2, axis=1)).max(initial=0.0))
 
 
 def _riccati(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.ndarray,

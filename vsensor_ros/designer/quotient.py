@@ -64,7 +64,7 @@ def quotient(problem: Problem, Phi: np.ndarray, gap: Gap | None = None) -> Quoti
     """
     C0 = problem.C0
     hidden = complement(Phi.T).T  # columns of ker Phi
-    seen = C0 @ hidden  # what the readings say of it
+    seen = _seen(C0, hidden)
     R = left_kernel(seen, size=1.0, gap=gap) if hidden.shape[1] else np.eye(len(C0))
 
     def split(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +85,13 @@ def argument(problem: Problem, Phi: np.ndarray, g: np.ndarray) -> np.ndarray | N
 
     None where the quotient and the readings do not hold them.
     """
-    hidden = complement(Phi.T).T
     if not in_row_space(np.vstack([Phi, problem.C0]), g):
         return None
-    return (g - solve_left(problem.C0 @ hidden, g @ hidden) @ problem.C0) @ Phi.T
+    hidden = complement(Phi.T).T
+    return (g - solve_left(_seen(problem.C0, hidden), g @ hidden) @ problem.C0) @ Phi.T
+
+
+def _seen(C0: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Return what readings of unit rows say of orthonormal columns: rounding is nothing."""
+    seen = C0 @ hidden
+    return seen if np.linalg.norm(seen) > RANK_TOLERANCE else np.zeros_like(seen)
