@@ -21,7 +21,7 @@ help:
 	@echo 'make demo    watch failed sensors being replaced on three systems; build/demo'
 	@echo 'make test    the test suite (ARGS="-k name" for a part of it)'
 	@echo 'make lint    ruff and mypy'
-	@echo 'make bench   what the healthy path, the replacement and the bank cost'
+	@echo 'make bench   what replacer and designer cost, beside peers (ARGS="--only designer")'
 	@echo 'make clean   remove all that make made'
 
 demo: set-up

@@ -188,8 +188,9 @@ def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
     """
     time = ('continuous time' if result.sample_time is None
             else f'sample time {result.sample_time:g} s')
-    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '',
-             'Sensors that this plant can afford to lose at the same time']
+    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
+    if any(result.fault_sets):
+        lines.append('Sensors that this plant can afford to lose at the same time')
     for size, sentences in words.loss_lines(result):
         for i, sentence in enumerate(sentences):
             lines += _hanging(size if i == 0 else '', sentence, 9)
@@ -259,7 +260,7 @@ def _facts(entry: VirtualSensor, unit: str) -> list[str]:
             f'{words.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
             for i, (rung, taken) in enumerate(words.rungs(entry))]
     facts += [('in doubt', doubt) for doubt in words.doubts(entry)]
-    return [f'    {name:17} {value}' for name, value in facts]
+    return [line for name, value in facts for line in _hanging(name, value, 18)]
 
 
 if __name__ == '__main__':

@@ -176,7 +176,9 @@ def certificate(entry: VirtualSensor) -> list[str]:
         if not terms:
             return ['stable everywhere: its error is linear, and the eigenvalues decide']
         return [f'not certified: judged by the linear part alone, without {terms}']
-    if c.status == 'none':
+    if not entry.order:
+        said = ['certified everywhere: it is made of readings alone' + _bound(c)]
+    elif c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
         region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
@@ -185,7 +187,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
                  if all(of in c.reason for of, _, _ in c.region) else f'only while {region}')
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
-    if c.lipschitz is not None:
+    if c.lipschitz is not None and entry.order:
         left, right = c.lipschitz
         said.append(f"the papers' Lipschitz condition {'holds' if left < right else 'fails'}: "
                     f'{number(left)} {"<" if left < right else "is not below"} {number(right)}')

@@ -161,7 +161,8 @@ def alternative(problem: Problem) -> str:
     if relaxed is None:
         return ''
     return (f'not decoupled, but bounded: order {relaxed.order} or less with '
-            f'{_at_most(problem, relaxed.kept, WORTH * relaxed.least)}: design(..., bounded=True)')
+            f'{_at_most(problem, relaxed.kept, WORTH * relaxed.least)} '
+            '(bounded=True, or --bounded)')
 
 
 def relax(problem: Problem) -> Relaxed | None:

@@ -7,12 +7,13 @@ closed for what must be known; the Kalman filter.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from vsensor_ros.designer import closure
@@ -23,7 +24,7 @@ from vsensor_ros.designer.observer import acting, Candidate, knows_arguments
 from vsensor_ros.designer.order import Family
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import argument, Quotient
-from vsensor_ros.designer.stabilise import decay_of, fixed_roots, stable_members
+from vsensor_ros.designer.stabilise import decay_of, fixed_roots, margin, stable_members
 from vsensor_ros.designer.subspaces import in_row_space, solve_left
 
 SPEEDS = (0.5, 1.0, 2.0, 4.0, 8.0)  # of the observer, against the plant's own mean rate
@@ -32,6 +33,7 @@ QUIETED_FREEDOM = 8  # such a family of so few coefficients is searched for the 
 QUIETED_ORDER = 60  # in plants of so few states
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
 CLOSURES = 8  # closed subspaces tried
+LARGEST_CLOSED = 100  # in plants of so many states
 TRIES = 8  # random members of a family, where arguments must be known
 
 
@@ -98,6 +100,8 @@ def judged(ground: Ground, candidates: Iterable[Candidate], method: str) -> list
     """Judge the stable candidates that know the arguments of their terms."""
     found = []
     for candidate in candidates:
+        if not all(np.isfinite(part).all() for part in vars(candidate).values()):
+            continue
         decay = decay_of(np.linalg.eigvals(candidate.N), ground.noise.sample_time)
         if decay > 0 and knows_arguments(ground.problem, candidate.Phi):
             error = ground.noise.error(ground.problem, candidate)
@@ -126,7 +130,8 @@ def of_family(ground: Ground, family: Family) -> list[Contender]:
         return []
     fixed = fixed_roots(family)
     if f + len(fixed) == k and not repeated(fixed):
-        if decay_of(fixed, ground.noise.sample_time) <= 0:
+        if decay_of(fixed, ground.noise.sample_time) <= margin(
+                family, ground.noise.sample_time):
             return []
         return of_spectra(ground, [np.concatenate([fixed, spectrum])
                                    for spectrum in _templates(ground, f)])
@@ -144,9 +149,8 @@ def of_spectra(ground: Ground, spectra: Iterable[np.ndarray]) -> list[Contender]
 
 def _fitted(ground: Ground, family: Family, theta: np.ndarray) -> Fit | None:
     roots = family.roots(theta)
-    if repeated(roots):
-        return fit_hessenberg(ground.known, ground.noise, family.member(theta))
-    return fit(ground.known, ground.noise, roots)
+    fitted = None if repeated(roots) else fit(ground.known, ground.noise, roots)
+    return fitted or fit_hessenberg(ground.known, ground.noise, family.member(theta))
 
 
 def _varied(ground: Ground, fits: Iterable[Fit | None]) -> list[Contender]:
@@ -167,13 +171,39 @@ def _varied(ground: Ground, fits: Iterable[Fit | None]) -> list[Contender]:
 
 def closed(ground: Ground) -> list[Contender]:
     """Return virtual sensors on closed subspaces that hold v and the arguments of terms."""
-    known, found = ground.known, []
+    known, found = ground.known, whole(ground)
     for rows in ([known.v] if not len(ground.terms)
                  else [known.v, np.vstack([known.v, ground.terms])]):
-        for _, closed_space in zip(range(CLOSURES), closure.closures(known, rows)):
+        tried = CLOSURES if known.order <= LARGEST_CLOSED else 0
+        for _, closed_space in zip(range(tried), closure.closures(known, rows)):
             found += judged(ground, closure.candidates(
                 known, ground.noise, closed_space, ground.decay), 'closed subspace')
     return found
+
+
+def whole(ground: Ground) -> list[Contender]:
+    """Return observers of everything known but the readings: they exist whenever any does."""
+    return judged(ground, closure.candidates(ground.known, ground.noise,
+                                             closure.whole(ground.known), ground.decay),
+                  'reduced observer')
+
+
+def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None]) -> list[Contender]:
+    """Return the observers of single rows of v side by side, each found by ``of_row``."""
+    problem, parts = ground.problem, []
+    for i in range(len(problem.V)):
+        one = replace(problem, V=problem.V[i:i + 1], Qv=problem.Qv[i:i + 1],
+                      v_size=problem.v_size[i:i + 1],
+                      wanted=(problem.wanted[0][i:i + 1], problem.wanted[1][i:i + 1],
+                              problem.wanted[2][i:i + 1]))
+        part = of_row(one)
+        if part is None:
+            return []
+        parts.append(part)
+    return judged(ground, [Candidate(
+        np.vstack([p.Phi for p in parts]), block_diag(*(p.N for p in parts)),
+        np.vstack([p.J for p in parts]), block_diag(*(p.Cv for p in parts)),
+        np.vstack([p.Q for p in parts]))], 'single observers side by side')
 
 
 def filters(ground: Ground) -> list[Contender]:

@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
+import warnings
 
 import numpy as np
+from scipy.linalg import LinAlgWarning
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
@@ -38,7 +40,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     row (n,) or rows (p, n) by name; alone, they are estimated from all sensors, as
     ``result[(), name]``. ``prefer``: 'quiet' takes the least order whose noise is within a factor
     of two of the best, 'least' the least there is. ``decay`` [1/s]: rate at which errors are to
-    die out, by default the plant's slowest. ``bounded``: where none can be decoupled from all
+    die out, by default as fast as noise allows. ``bounded``: where none can be decoupled from all
     unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``progress`` is told what is
@@ -61,7 +63,11 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
             entries[fault_set, channel] = lost
             continue
         problem = pose(plant, fault_set, channel, functionals.get(channel))
-        entry = _answer(problem, prefer, decay, bounded, method)
+        with np.errstate(all='ignore'), warnings.catch_warnings():
+            # candidates beyond use are told by the check of their equations
+            warnings.simplefilter('ignore', LinAlgWarning)
+            warnings.simplefilter('ignore', RuntimeWarning)
+            entry = _answer(problem, prefer, decay, bounded, method)
         if isinstance(entry, VirtualSensor):
             entry = replace(entry, certificate=certify(plant, entry))
         entries[fault_set, channel] = entry
@@ -167,6 +173,9 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
         obstruction = disturbed(problem, existence.forced)
         doubts.append('exact arithmetic on the decimals as given decided that there is none: in '
                       'double precision one seems to exist')
+    elif exact and obstruction is not None and not existence.hidden and all(exact.solvable):
+        doubts = ['exact arithmetic on the decimals as given says that a decoupled one exists: '
+                  'in double precision it cannot be told from none']
     if obstruction is not None:
         refusal = Refusal(problem.channel, problem.fault_set, obstruction, doubts=tuple(doubts))
         if not bounded:

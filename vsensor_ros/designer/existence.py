@@ -34,6 +34,7 @@ class Existence:
     quotient: Quotient | None  # what can be known and whose error can be made to die out
     obstruction: str | None  # one sentence, or None when a virtual sensor exists
     gap: Gap  # of the rank decisions
+    hidden: bool = False  # what stands in the way is a mode that stays, no unknown input
 
 
 def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
@@ -58,7 +59,7 @@ def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
         rows = np.vstack([keep, problem.C0])
         if not in_row_space(rows, problem.V, gap):
             states = _strongest(problem.plant.states, np.linalg.lstsq(Phi, lost, rcond=None)[0])
-            return Existence(forced, None, _undetectable(problem, modes, states), gap)
+            return Existence(forced, None, _undetectable(problem, modes, states), gap, True)
         # a term whose argument went with a hidden mode must not act either
         avoid = forced | {i for i, g in enumerate(problem.G) if not in_row_space(rows, g)}
         if avoid == forced:
@@ -103,6 +104,8 @@ def hidden_unstable_modes(known: Quotient, problem: Problem, gap: Gap | None = N
     Orthonormal columns (r, h) of the quotient and their modes (h,) complex. Source: method 3.3.
     """
     hidden = unobservable(known.A, known.E, gap)
+    if known.order == len(problem.A) and problem.stable:
+        return hidden[:, :0], np.zeros(0, complex)
     values, stays = lasting(hidden.T @ known.A @ hidden, problem.plant.sample_time,
                             problem.speed)
     if not stays.any():

@@ -130,7 +130,7 @@ def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
 def repeated(spectrum: np.ndarray) -> bool:
     """Tell whether two eigenvalues are so near that the modal form is ill-conditioned."""
     gaps = np.abs(np.subtract.outer(spectrum, spectrum)) + np.diag(np.full(len(spectrum), np.inf))
-    return bool(len(spectrum) > 1 and gaps.min() < REPEATED * np.abs(spectrum).max())
+    return bool(len(spectrum) > 1 and gaps.min() <= REPEATED * np.abs(spectrum).max())
 
 
 def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | None:
@@ -174,8 +174,14 @@ def _modes(known: Quotient, spectrum: np.ndarray,
     for value in (complex(v) for v in spectrum if v.imag >= 0):
         shifted = A - (value if value.imag else value.real) * np.eye(len(A))
         size = max(known.speed, abs(value), np.finfo(float).tiny)
-        if np.abs(known.spectrum - value).min() > APART * size:
-            yield value, np.linalg.solve(shifted.T, E.T).T, np.eye(len(E))
+        try:
+            X = np.linalg.solve(shifted.T, E.T).T
+            near = (np.abs(known.spectrum - value).min() <= APART * size
+                    or np.abs(X).max(initial=0.0) * size * APART > 1.0)
+        except np.linalg.LinAlgError:
+            near = True
+        if not near:
+            yield value, X, np.eye(len(E))
         else:  # orthonormal rows [x, -g] with x (A - value) - g E = 0
             rows = left_kernel(np.vstack([shifted / size, E]))
             yield value, rows[:, :len(A)], -rows[:, len(A):] * size

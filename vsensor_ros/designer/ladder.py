@@ -21,13 +21,15 @@ from vsensor_ros.designer.contenders import (
     grounds,
     of_family,
     of_spectra,
+    stacked,
     static,
+    whole,
 )
 from vsensor_ros.designer.exact import Verdict
-from vsensor_ros.designer.existence import Existence
+from vsensor_ros.designer.existence import examine, Existence
 from vsensor_ros.designer.fit import MOST_MODES, SPARING
 from vsensor_ros.designer.noise import noise_model, usual_decay
-from vsensor_ros.designer.observer import build
+from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
@@ -65,9 +67,11 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
     doubts = doubtful(existence.gap, 'whether one exists', exact)
     rungs: _Rungs = {}
 
-    reserve = [c for g in where for c in filters(g)]
+    reserve = [c for g in where for c in (*filters(g), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
         reserve += [c for g in where for c in closed(g)]
+    if len(problem.V) > 1:
+        reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
     proofs, ascents = _ascent(base, freedom), [_ascent(g, None) for g in where]
     for k in range(max(g.known.order for g in where) + 1):
@@ -104,6 +108,20 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
         return _refusal(base, doubts)
     good = [k for k in sorted(rungs) if prefer == 'least' or _good(rungs, k, [], wanted)]
     return _chosen(rungs, good[0], base, steps, doubts)
+
+
+def _single(problem: Problem, avoid: frozenset[int], prefer: str,
+            decay: float | None) -> Candidate | None:
+    """Return the virtual sensor for one row, in the scaled coordinates of its problem."""
+    existence = examine(problem)
+    if existence.quotient is None:
+        return None
+    found = climb(problem, existence, avoid, prefer, decay, None)
+    if isinstance(found, Refusal):
+        return None
+    return Candidate(found.Phi * problem.scale, found.N, found.J * problem.y0_size,
+                     found.Cv / problem.v_size[:, None],
+                     found.Q * problem.y0_size / problem.v_size[:, None])
 
 
 def _ascent(ground: Ground, freedom: Sequence[int | None] | None,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import matrix_balance
 
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.stability import lasting
@@ -149,13 +150,16 @@ def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
 
     Their slopes there are added to N; and in continuous time a sign must push its own argument
     towards zero, as dry friction does: otherwise the observer has two stable branches (the
-    method, erratum 1, k7 = +1). No certificate: that is not in this generation.
+    method, erratum 1, k7 = +1). A certificate is more: see certificate.py.
     """
+    if not sensor.active:
+        return True  # judged already, in scaled coordinates
     for i in sensor.active:
         if set_valued(sensor.terms[i]) and sensor.sample_time is None:
             if float(sensor.Gz[i][0] @ sensor.P[:, i]) > 0:
                 return False
-    return not lasting(linearised(plant, sensor)[0], sensor.sample_time)[1].any()
+    N = matrix_balance(linearised(plant, sensor)[0], permute=False)[0]
+    return not lasting(N, sensor.sample_time)[1].any()
 
 
 def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndarray]:
@@ -195,7 +199,7 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
         return float((np.linalg.norm(residual, axis=1) / np.maximum(size, 1e-300)).max(
             initial=0.0))
 
-    n, J, Q = len(plant.A), sensor.J * problem.y0_size, sensor.Q * problem.y0_size
+    n, J = len(plant.A), sensor.J * problem.y0_size
     D = np.vstack([plant.D / problem.scale[:, None], Cd / problem.y0_size[:, None]])
     D = D / np.maximum(np.linalg.norm(D, axis=0), 1e-300)
     Vd = Vd / np.maximum(np.linalg.norm(np.vstack([Vd, Cd]), axis=0), 1e-300)
@@ -208,7 +212,7 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
         'E2': relative((Phi * problem.scale) @ D[:n] - J @ D[n:],
                        length(Phi) + np.linalg.norm(J, axis=1)),
         'E3': max(relative((V - sensor.Cv @ Phi - sensor.Q @ C0) * problem.scale,
-                           np.maximum(length(V), np.linalg.norm(Q, axis=1))),
+                           length(V)),
                   relative(Vd - sensor.Q @ unit_Cd, 1.0 + np.linalg.norm(sensor.Q, axis=1))),
         'E4': max((relative((plant.G[i] - sensor.Gz[i] @ Phi - sensor.Gy[i] @ C0)
                             * problem.scale, length(plant.G[i]))
@@ -242,8 +246,16 @@ def peak_gain(N: np.ndarray, J: np.ndarray, Cv: np.ndarray, Q: np.ndarray,
         modal = np.linalg.solve(right, J.astype(complex))
         transfer = np.array([(Cv @ right / (at - poles)) @ modal for at in s]) + Q
     else:
-        transfer = np.array([Cv @ np.linalg.solve(at * np.eye(len(N)) - N, J) for at in s]) + Q
+        transfer = np.array([Cv @ _solved(at * np.eye(len(N)) - N, J) for at in s]) + Q
     return float(max(feedthrough, np.linalg.norm(transfer, 2, axis=(1, 2)).max()))
+
+
+def _solved(M: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Solve M X = R; where M is singular to the last bit, in the sense of least squares."""
+    try:
+        return np.linalg.solve(M, R)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(M, R.astype(complex), rcond=None)[0]
 
 
 def _clean(M: np.ndarray) -> np.ndarray:

@@ -38,6 +38,7 @@ class Family:
 
     M: np.ndarray
     F: np.ndarray
+    speed: float  # size of the plant's A, against which rounding is measured
 
     @property
     def free(self) -> bool:
@@ -103,7 +104,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
         M = H[:k].T.copy()
         M[-1] -= H[k, k - 1] * base[:k]
         F = image(free[:, :k].T).T
-        yield k, Family(speed * M, F), here
+        yield k, Family(speed * M, F, speed), here
 
 
 def _off(basis: np.ndarray, X: np.ndarray) -> np.ndarray:

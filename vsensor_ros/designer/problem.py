@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 from scipy.sparse.csgraph import connected_components
 
+from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import complement, image, in_row_space, RANK_TOLERANCE
 from vsensor_ros.plant import Plant
 
@@ -49,8 +50,24 @@ class Problem:
 
     @cached_property
     def modes(self) -> np.ndarray:
-        """Eigenvalues of the plant (n,) complex."""
-        return np.linalg.eigvals(self.plant.A).astype(complex)
+        """
+        Eigenvalues of the plant (n,) complex, of one strongly connected part after the other.
+
+        Equal parts in a row have equal modes, which taken together would scatter widely.
+        """
+        return np.concatenate([np.linalg.eigvals(self.A_plant[np.ix_(part, part)]).astype(complex)
+                               for part in _parts(self.A_plant)])
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether the plant forgets every start by itself."""
+        return not any(lasting(self.A_plant[np.ix_(part, part)], self.plant.sample_time)[1].any()
+                       for part in _parts(self.A_plant))
+
+    @property
+    def A_plant(self) -> np.ndarray:
+        """The plant's A in the scaled states, before readings of unknown inputs are used."""
+        return self.plant.A / self.scale[:, None] * self.scale
 
     @cached_property
     def speed(self) -> float:
@@ -138,6 +155,12 @@ def _state_scale(A: np.ndarray) -> np.ndarray:
         return scale
     logarithms = np.linalg.lstsq(equations, wanted, rcond=None)[0]
     return scale * np.exp(np.clip(logarithms, -100, 100))[part]
+
+
+def _parts(A: np.ndarray) -> list[np.ndarray]:
+    """Return the states of each strongly connected part of A."""
+    count, part = connected_components(A != 0, directed=True, connection='strong')
+    return [np.flatnonzero(part == i) for i in range(count)]
 
 
 def _length(M: np.ndarray) -> np.ndarray:

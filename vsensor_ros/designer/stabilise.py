@@ -17,6 +17,8 @@ from vsensor_ros.designer.subspaces import unobservable
 
 STARTS = 6  # descents from different points
 LINES = 40  # looked along where descents found nothing
+CLEAR = 1e-7  # conditions of length one that cannot be met by so much are in contradiction
+CERTAIN = 12  # up to such a degree the linear program is trusted to exclude
 WORK = 3e7  # operations, in cubes of the degree, that one family is worth
 SIMPLEX = 3  # up to so many free coefficients a simplex helps over the kinks
 _SAMPLES = 60  # real points at which the linear program looks
@@ -48,7 +50,8 @@ def stable_members(family: Family, sample_time: float | None,
         verdict = ('none: one coefficient is free, and between all values at which a root '
                    'crosses the limit of stability an unstable one is left')
     else:
-        verdict = _excluded(family, sample_time)
+        verdict = ('open: any spectrum can be had, but no design passed all checks' if family.free
+                   else _excluded(family, sample_time))
         points = [] if verdict.startswith('none') else _descents(family, sample_time, wanted)
     rates = [decay_of(family.roots(theta), sample_time) for theta in points]
     if points and max(rates) <= least and f > 1:
@@ -66,8 +69,7 @@ def stable_members(family: Family, sample_time: float | None,
 
 def margin(family: Family, sample_time: float | None) -> float:
     """Return the decay rate [1/s] below which a root may be on the limit of stability."""
-    return 1e-10 * (float(np.linalg.norm(family.M, 2)) if sample_time is None
-                    else 1.0 / sample_time)
+    return 1e-10 * (family.speed if sample_time is None else 1.0 / sample_time)
 
 
 def _worst(roots: np.ndarray, sample_time: float | None) -> complex:
@@ -213,7 +215,7 @@ def _excluded(family: Family, sample_time: float | None) -> str:
         return f'none: all polynomials share the roots {_worst(shared, sample_time):.4g}'
     # p(s) > 0 at real s beyond the boundary, and with it all derivatives (Gauss and Lucas):
     # p(s) = det(s - M) (1 - theta F (s - M)^-1 e_k)
-    size = max(np.linalg.norm(family.M, 2), 1e-300)
+    size = max(float(np.linalg.norm(family.M, 2)), 1e-300)
     grid = size * np.concatenate([[0.0], np.geomspace(1e-4, 1e3, _SAMPLES)])
     rows, bounds = [], []
     sides = ((1.0, grid),) if sample_time is None else ((1.0, 1.0 + grid), (-1.0, -1.0 - grid))
@@ -224,16 +226,22 @@ def _excluded(family: Family, sample_time: float | None) -> str:
             if sign == 0:
                 continue
             value = family.F @ np.linalg.solve(s * np.eye(k) - family.M, np.eye(k)[:, -1])
-            length = max(np.linalg.norm(value), 1.0)
-            rows.append(sign * value / length)
-            bounds.append(sign / length)
+            rows.append(sign * value)
+            bounds.append(sign)
+    if k > CERTAIN:
+        return f'open: no stable one was found among those with {len(family.F)} free coefficients'
     coefficients, moves = _coefficients(family)
     if sample_time is None:
         rows += list(-moves.T)
         bounds += list(coefficients)
-    found = linprog(np.zeros(len(family.F)), A_ub=np.array(rows), b_ub=np.array(bounds) - 1e-9,
-                    bounds=(None, None), method='highs')
-    if found.status == 2:
+    # the most by which all can be met at once, by theta = size * unknown within reason
+    A, b = size * np.array(rows), np.array(bounds)
+    length = np.maximum(np.linalg.norm(A, axis=1), np.abs(b))
+    A, b = A / length[:, None], b / length
+    found = linprog(np.append(np.zeros(len(family.F)), -1.0),
+                    A_ub=np.column_stack([A, np.ones(len(A))]), b_ub=b,
+                    bounds=[*[(-1e6, 1e6)] * len(family.F), (None, 1.0)], method='highs')
+    if found.status == 0 and found.x[-1] < -CLEAR:
         return ('none: no choice of the free coefficients keeps the polynomial positive where '
                 'that of a stable one is')
     return f'open: no stable one was found among those with {len(family.F)} free coefficients'

@@ -67,12 +67,12 @@ def kernel(M: np.ndarray, size: float = 0.0, gap: Gap | None = None) -> np.ndarr
     if 0 in M.shape:
         return np.eye(M.shape[1])
     _, r, Vt = _decompose(M, size, gap)
-    return Vt[r:].T
+    return Vt[r:].conj().T
 
 
 def left_kernel(M: np.ndarray, size: float = 0.0, gap: Gap | None = None) -> np.ndarray:
     """Orthonormal rows w with w M = 0."""
-    return kernel(M.T, size, gap).T
+    return kernel(M.conj().T, size, gap).conj().T
 
 
 def complement(T: np.ndarray) -> np.ndarray:
