@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vsensor_ros.expression import names, parse
 from vsensor_ros.nonlinearity import NonlinearTerm
 
 
@@ -150,6 +151,14 @@ class VirtualSensor:
     def active(self) -> tuple[int, ...]:
         """Indices of the nonlinear terms that enter the observer."""
         return tuple(int(i) for i in np.flatnonzero(self.P.any(axis=0)))
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of the commands it needs, linearly or in a nonlinear term."""
+        used = {name for i in self.active for name in names(parse(self.terms[i].text))}
+        linear = np.vstack([self.B, self.Qu, *(self.Gu[i] for i in self.active)])
+        return tuple(name for name, column in zip(self.inputs, linear.T)
+                     if column.any() or name in used)
 
     @property
     def reads(self) -> tuple[str, ...]:

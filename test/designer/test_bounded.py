@@ -84,7 +84,8 @@ def test_refusal_names_an_alternative_that_is_kept(tank):
     assert isinstance(refusal, Refusal)
     words = refusal.alternative.split()
     assert refusal.alternative.startswith('not decoupled, but bounded: order ')
-    assert refusal.alternative.endswith('m per unit of rho (bounded=True, or --bounded)')
+    assert refusal.alternative.endswith('m per unit of rho near the operating point '
+                                        '(bounded=True, or --bounded)')
     entry = tank[('y1', 'y3'), 'y1']
     assert entry.order <= int(words[words.index('order') + 1])
     assert entry.disturbance_gain <= float(words[words.index('most') + 1])

@@ -159,6 +159,78 @@ def test_quiet_takes_the_least_order_within_a_factor_of_the_best():
         assert entry.ladder[0].order == entry.proof.upper
 
 
+def test_quiet_does_not_take_a_difference_of_nearly_equal_readings():
+    """Order 0 exists, (y2 - y1)/0.01, with a hundred times the noise of a reading."""
+    plant = Plant.from_matrices([[-1, 0.5], [0.2, -2]], None, [[1, 0], [1, 0.01], [0, 1]],
+                                noise=[0.01] * 3, process_noise=[0.01] * 2)
+    quiet, least = (design(plant, [('y3',)], prefer=p)['y3', 'y3'] for p in ('quiet', 'least'))
+    assert least.order == quiet.proof.upper == quiet.proof.lower == 0
+    assert least.noise.error == pytest.approx(np.sqrt(2), rel=1e-9)
+    assert quiet.order >= 1 and quiet.noise.error < 0.02
+    assert quiet.ladder[0].order == 0
+
+
+def test_complex_fixed_modes_are_met_exactly():
+    """Two masses on a spring: the hidden pair must be copied, and nothing else."""
+    plant = Plant.from_matrices(
+        [[0, 1, 0, 0], [-900, -.5, 900, .4], [0, 0, 0, 1], [45, .02, -45, -.03]], None,
+        np.eye(4)[[0, 2, 1]], np.eye(4)[:, 1])
+    sensor = design(plant, [('y2',)], prefer='least')['y2', 'y2']
+    assert sensor.order == sensor.proof.lower == 2
+
+
+@pytest.mark.parametrize('n', [5, 40])
+def test_delay_lines_need_all_but_what_is_read(n):
+    plant = Plant.from_matrices(np.eye(n, k=-1), None, np.eye(n)[[0, n - 1]], sample_time=1.0)
+    sensor = design(plant, [('y2',)], prefer='least')['y2', 'y2']
+    assert sensor.order == sensor.proof.lower == n - 1
+
+
+def test_an_order_with_any_spectrum_is_never_called_impossible():
+    """Twenty integrators: nothing is left of a linear program over such coefficients."""
+    plant = Plant.from_matrices(np.eye(20, k=1), None, np.eye(20)[[0, 2]])
+    entry = design(plant, [('y2',)], prefer='least')['y2', 'y2']
+    assert entry.proof.lower <= 19
+    assert all(s.verdict != 'impossible' for s in entry.proof.steps if s.freedom == s.order > 0)
+
+
+def test_units_do_not_decide_stability():
+    A = np.array([[-4.365, -.6723, -.3363], [7.0880, -6.5570, -4.6010], [-2.41, 7.584, -14.31]])
+    unit = np.array([1e5, 1e-3, 1e5])
+    for s in (np.ones(3), unit):
+        plant = Plant.from_matrices(A * s[:, None] / s, None, np.eye(3)[[2, 0]] / s,
+                                    np.eye(3)[:, 0] * s)
+        assert design(plant, [('y1',)], prefer='least')['y1', 'y1'].order == 2
+    light = Plant.from_matrices([[0, 1, 0, 0], [-1e6, -1e-4, 1, 0], [0, 0, -1, 0], [0, 0, 0, -2]],
+                                None, np.eye(4)[[2, 0]])
+    assert isinstance(design(light)['y2', 'y2'], VirtualSensor)
+
+
+def test_stable_cascades_can_always_be_copied():
+    """Equal parts in a row: their computed eigenvalues scatter, they themselves do not."""
+    cell = np.array([[-.1, 1], [-1, -.1]])
+    A = np.kron(np.eye(20), cell) + np.kron(np.eye(20, k=-1), [[0, 0], [1, 0]])
+    plant = Plant.from_matrices(A, None, np.eye(40)[[0, 38]])
+    assert isinstance(design(plant)['y2', 'y2'], VirtualSensor)
+
+
+def test_several_rows_are_no_larger_than_single_observers_side_by_side():
+    plant = Plant.from_matrices([[0, 1, 0, 0], [0, 0, -7, 0], [0, 0, 0, 1], [-9, 0, 0, 0]], None,
+                                np.eye(4)[[2, 3, 0]])
+    rows = np.eye(4)[[1, 3]]
+    result = design(plant, wanted={'both': rows, 'a': rows[0], 'b': rows[1]}, prefer='least')
+    both, a, b = (result[(), name] for name in ('both', 'a', 'b'))
+    assert both.order <= a.order + b.order
+    np.testing.assert_allclose(both.Cv @ both.Phi + both.Q @ plant.C, rows, atol=1e-9)
+
+
+def test_a_functional_that_rho_moves_is_refused_beside_others():
+    plant = Plant.from_matrices([[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3),
+                                [1, 0, 0])
+    result = design(plant, [('y1',)], wanted={'two': [[1, 0, 0], [0, 0, 1]]})
+    assert isinstance(result[('y1',), 'two'], Refusal)
+
+
 def test_a_wanted_decay_rate_is_met_where_it_can_be():
     plant = Plant.from_matrices([[0, 1], [0, 0]], [0, 1], np.eye(2), sensors=['angle', 'rate'])
     for decay in (0.5, 5.0):

@@ -18,7 +18,6 @@ import numpy as np
 
 from vsensor_ros.bank.readings import Samples
 from vsensor_ros.bank.step import make_step, NOTHING, pad, widen
-from vsensor_ros.expression import names, parse
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 _LONGEST = 1000  # steps: a clock that jumps further ahead restarts the bank
@@ -345,7 +344,4 @@ class Bank:
 
 def _needs(v: VirtualSensor, sensors: Iterable[str]) -> list[bool]:
     """Tell which sensors, then which commands, v cannot run without."""
-    used = {name for i in v.active for name in names(parse(v.terms[i].text))}
-    linear = np.vstack([v.B, v.Qu, *(v.Gu[i] for i in v.active)])
-    return [name in v.reads for name in sensors] + [
-        bool(column.any()) or name in used for column, name in zip(linear.T, v.inputs)]
+    return [name in v.reads for name in sensors] + [name in v.commands for name in v.inputs]

@@ -78,8 +78,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help='quiet: the least order whose noise is within a factor of two of the '
                         'best (default); least: the least order there is')
     parser.add_argument('--decay', metavar='RATE', type=float,
-                        help='rate [1/s] at which errors are to die out (default: the slowest of '
-                        'the plant)')
+                        help='rate [1/s] at which errors are to die out (default: as fast as '
+                        'noise allows)')
     parser.add_argument('--bounded', action='store_true',
                         help='where unknown inputs cannot be kept out, hand out virtual sensors '
                         'that they disturb, with the gain stated')
@@ -212,7 +212,8 @@ def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
 
 def _places(places: Sequence[Location], plant: Plant) -> list[str]:
     if not places:
-        return ['    every state is measured already: only a second sensor of the same would help']
+        return ['    every state is measured already; second sensors, and sensors of unknown',
+                '    inputs, are not looked at here']
     useful = [place for place in places if place.gained]
     if not useful:
         return ['    none of a single state would let you lose more than now']

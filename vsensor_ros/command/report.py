@@ -339,7 +339,9 @@ def _figure(plant: Plant, design: Design, entry: VirtualSensor, salt: str) -> st
             said.append(f'From a wrong start the error goes from {words.number(first, unit)} to '
                         f'{words.number(last, unit)} in {words.number(start.time[-1], "s")}' + (
                             f', while the truth runs away to {words.number(reach, unit)}'
-                            if reach > 1e3 * first else '') + '.')
+                            if reach > 1e3 * first else '') + (
+                            ': from there it does not find back, the start lies outside what is '
+                            'certified' if last > first and reach <= 1e3 * first else '') + '.')
         except runs.NotRun as why:
             said.append(f'The run from a wrong start is not shown: {why}.')
     if plant.disturbances:

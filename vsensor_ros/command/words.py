@@ -163,9 +163,7 @@ def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
 
 def reads(entry: VirtualSensor) -> str:
     """Name the sensors and commands it needs."""
-    linear = np.vstack([entry.B, entry.Qu])
-    driving = [name for name, column in zip(entry.inputs, linear.T) if column.any()]
-    return ', '.join([*entry.reads, *driving]) or 'nothing: it is a constant'
+    return ', '.join([*entry.reads, *entry.commands]) or 'nothing: it is a constant'
 
 
 def certificate(entry: VirtualSensor) -> list[str]:
@@ -212,8 +210,9 @@ def disturbance(entry: VirtualSensor, unit: str) -> str:
     """Say what unknown inputs do to the estimate."""
     if entry.grade == 'exact':
         return 'do not reach it'
+    near = ' (near the operating point)' if entry.active else ''
     return (f'reach it: one of size 1, at the worst frequency, puts it out by at most '
-            f'{number(entry.disturbance_gain, unit)}')
+            f'{number(entry.disturbance_gain, unit)}{near}')
 
 
 def rungs(entry: VirtualSensor) -> list[tuple[Rung, bool]]:

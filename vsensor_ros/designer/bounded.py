@@ -654,7 +654,8 @@ def _told(problem: Problem, kept: tuple[int, ...], sensor: VirtualSensor) -> str
 def _at_most(problem: Problem, kept: tuple[int, ...], gain: float) -> str:
     names = [problem.plant.disturbances[i] for i in kept]
     return (f'at most {gain:.2g}{_unit(problem)} per unit of '
-            f'{" and ".join(names)}{" together" * (len(names) > 1)}')
+            f'{" and ".join(names)}{" together" * (len(names) > 1)}'
+            + ' near the operating point' * bool(problem.plant.terms))
 
 
 def _unit(problem: Problem) -> str:

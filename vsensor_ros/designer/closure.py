@@ -53,7 +53,7 @@ def closures(known: Quotient, outputs: np.ndarray) -> Iterator[Closure]:
     """
     E = image(known.E.T, size=1.0).T
     U = image(np.vstack([E, outputs]).T).T
-    size = max(np.linalg.norm(known.A, 2), np.finfo(float).tiny)
+    size = max(known.speed, np.finfo(float).tiny)
     while True:
         while True:
             A = known.A / size

@@ -105,7 +105,8 @@ def judged(ground: Ground, candidates: Iterable[Candidate], method: str) -> list
         decay = decay_of(np.linalg.eigvals(candidate.N), ground.noise.sample_time)
         if decay > 0 and knows_arguments(ground.problem, candidate.Phi):
             error = ground.noise.error(ground.problem, candidate)
-            found.append(Contender(candidate, method, error, decay))
+            if np.isfinite(error):
+                found.append(Contender(candidate, method, error, decay))
     return found
 
 

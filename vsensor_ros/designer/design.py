@@ -24,6 +24,8 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 PREFERENCES = ('quiet', 'least')
+FASTEST = 1e12  # 1/s
+LARGEST = 1e100
 METHODS = ('jordan', 'identification', 'svd')
 
 
@@ -47,7 +49,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     done, of how many, and what is next. Raises BadInput for what is not a name of a sensor or a
     choice. Source: method, section 3.
     """
-    _check(plant, prefer, decay, method)
+    _check(plant, prefer, decay, bounded, method)
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
     entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
@@ -77,7 +79,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
                   dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals))
 
 
-def _check(plant: Plant, prefer: str, decay: float | None, method: str | None) -> None:
+def _check(plant: Plant, prefer: str, decay: float | None, bounded: bool,
+           method: str | None) -> None:
     if not isinstance(plant, Plant):
         raise BadInput('design', 'plant', f'{shown(plant)} is not a Plant',
                        'make one with load_plant or Plant.from_matrices')
@@ -87,9 +90,13 @@ def _check(plant: Plant, prefer: str, decay: float | None, method: str | None) -
     if prefer not in PREFERENCES:
         raise BadInput('design', 'prefer', f'{shown(prefer)} is not a preference',
                        f'use one of {", ".join(PREFERENCES)}')
-    if decay is not None and not (isinstance(decay, (int, float)) and 0 < decay < np.inf):
+    if decay is not None and (isinstance(decay, bool) or not (
+            isinstance(decay, (int, float)) and 0 < decay <= FASTEST)):
         raise BadInput('design', 'decay', f'{shown(decay)} is not a rate',
-                       'give a positive number, in 1/s')
+                       f'give a positive number up to {FASTEST:g}, in 1/s')
+    if not isinstance(bounded, bool):
+        raise BadInput('design', 'bounded', f'{shown(bounded)} is neither True nor False',
+                       'give one of them')
 
 
 def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np.ndarray]:
@@ -102,16 +109,20 @@ def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np
     functionals = {}
     for name, rows in wanted.items():
         check_name(name, 'design', 'wanted')
-        if name in plant.sensors:
-            raise BadInput('design', 'wanted', f'{name} is a sensor', 'choose another name')
+        for kind, taken in (('a sensor', plant.sensors), ('an input', plant.inputs),
+                            ('an unknown input', plant.disturbances)):
+            if name in taken:
+                raise BadInput('design', 'wanted', f'{name} is {kind}', 'choose another name')
         try:
             array = np.atleast_2d(np.array(rows, dtype=float))
         except (TypeError, ValueError):
             raise BadInput('design', f'wanted.{name}', f'{shown(rows)} is not numbers',
                            mend) from None
-        if array.ndim != 2 or array.shape[1] != len(plant.states) or not len(array) \
-                or not np.isfinite(array).all():
+        if array.ndim != 2 or array.shape[1] != len(plant.states) or not len(array):
             raise BadInput('design', f'wanted.{name}', f'has shape {array.shape}', mend)
+        if not (np.abs(array) <= LARGEST).all() or not array.any(axis=1).all():
+            raise BadInput('design', f'wanted.{name}', 'holds a row of zeros, or a number that is '
+                           f'not finite or beyond {LARGEST:g}', mend)
         functionals[name] = array
     return functionals
 

@@ -189,8 +189,12 @@ def _modes(known: Quotient, spectrum: np.ndarray,
 
 def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
     """Find the gains of least noise under ``gains M = target``, and the directions left free."""
-    gram, linear, constant = _noise_form(known, noise, form)
     M, v = form.M, form.target
+    if not (np.isfinite(M).all() and np.isfinite(form.W_).all()):
+        return None
+    gram, linear, constant = _noise_form(known, noise, form)
+    if not np.isfinite(gram).all():  # an eigenvalue on the boundary of stability
+        return None
     size = 1.0 / np.sqrt(np.diag(gram) + 1e-30 + 1e-12 * np.diag(gram).max(initial=0.0))
     scaled = size[:, None] * M
     Q, R, _ = qr(scaled, pivoting=True)  # (u, u), (u, r)
@@ -225,8 +229,14 @@ def _noise_form(known: Quotient, noise: NoiseModel,
     square, offset = np.zeros((u, 0)), np.zeros(0)
     if k:
         observed = form.Cv.T @ form.Cv  # e is weighed by the Gramian of what v shows of it
-        weight = (solve_continuous_lyapunov(form.N.T, -observed) if noise.sample_time is None
-                  else solve_discrete_lyapunov(form.N.T, observed))
+        try:
+            weight = (solve_continuous_lyapunov(form.N.T, -observed)
+                      if noise.sample_time is None
+                      else solve_discrete_lyapunov(form.N.T, observed))
+        except (np.linalg.LinAlgError, ValueError):
+            weight = np.full((k, k), np.nan)
+        if not np.isfinite(weight).all():
+            return np.full((u, u), np.nan), np.zeros(u), np.inf
         values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # (k, k)
         driven = np.zeros((u, k, B.shape[1]))

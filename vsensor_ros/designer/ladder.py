@@ -59,6 +59,8 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
     assert existence.quotient is not None
     noise = noise_model(problem)
     wanted = usual_decay(problem) if decay is None else decay
+    # what is asked for is to be met, not nearly met
+    enough = SLUGGISH * wanted if decay is None else wanted
     where = grounds(problem, existence, avoid, noise, wanted)
     base = where[0] if where[0].known is existence.quotient else Ground(
         problem, existence.quotient, where[0].terms[:0], noise, wanted)
@@ -83,7 +85,7 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
             family = proof if ground.known is base.known else next(ascent, None)
             if k and family is not None and family[0] is not None:
                 here += of_family(ground, family[0])
-        found = _stand(problem, where, here, wanted, 1.0 if decay else LIVELY)
+        found = _stand(problem, where, here, enough, 1.0 if decay else LIVELY)
         if found is None:
             step = _excluded(k, base, proof, bound)
         else:
@@ -93,21 +95,21 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
                              _numbers(proof[1] if proof else Gap()))
         steps.append(step)
         doubts += doubtful(proof[1], f'order {k}', exact) if proof else []
-        if k in rungs and (prefer == 'least' or _good(rungs, k, reserve, wanted)):
-            return _chosen(rungs, k, base, steps, doubts)
+        if k in rungs and (prefer == 'least' or _good(rungs, k, reserve, enough)):
+            return _chosen(rungs, k, base, steps, doubts, decay)
         if len(rungs) >= MOST_RUNGS:
             break
     # no order was good enough: take the best there is
     if not rungs:
         reserve += [c for g in where for c in closed(g)]
     for k in sorted({c.order for c in reserve}):
-        found = _stand(problem, [], [c for c in reserve if c.order == k], wanted, 1.0)
+        found = _stand(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
         if found is not None:
             rungs.setdefault(k, found)
     if not rungs:
         return _refusal(base, doubts)
-    good = [k for k in sorted(rungs) if prefer == 'least' or _good(rungs, k, [], wanted)]
-    return _chosen(rungs, good[0], base, steps, doubts)
+    good = [k for k in sorted(rungs) if prefer == 'least' or _good(rungs, k, [], enough)]
+    return _chosen(rungs, good[0], base, steps, doubts, decay)
 
 
 def _single(problem: Problem, avoid: frozenset[int], prefer: str,
@@ -135,7 +137,7 @@ def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
             yield family, gap
 
 
-def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], wanted: float,
+def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], enough: float,
            lively: float) -> tuple[Contender, VirtualSensor] | None:
     """
     Build the quietest contender that is fast enough, or one nearly as good that reads less.
@@ -144,7 +146,7 @@ def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], w
     of their equations are left out.
     """
     while contenders:
-        fast = _fast(contenders, wanted)
+        fast = _fast(contenders, enough)
         limit = lively * min(c.error for c in fast)
         best = max((c for c in fast if c.error <= limit),
                    key=lambda c: (c.decay if lively > 1 else 0.0, -c.error))
@@ -161,22 +163,24 @@ def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], w
             if rival.error > SPARING * best.error or rival.decay < best.decay / SLOWER:
                 continue
             other = build(problem, rival.candidate, rival.method)
-            if other is not None and len(other.reads) < len(chosen[1].reads):
+            if other is not None and len(other.reads) < len(chosen[1].reads) and (
+                    other.reads or rival.decay >= best.decay):
                 chosen = rival, other
         return chosen
     return None
 
 
-def _fast(contenders: list[Contender], wanted: float) -> list[Contender]:
-    """Return those that decay as wanted, or nearly as fast as any."""
-    enough = SLUGGISH * min(wanted, max(c.decay for c in contenders))
-    return [c for c in contenders if c.decay >= enough]
+def _fast(contenders: list[Contender], enough: float) -> list[Contender]:
+    """Return those that decay fast enough or, if none does, nearly as fast as any."""
+    fastest = max(c.decay for c in contenders)
+    least = enough * (1 - 1e-6) if fastest >= enough else SLUGGISH * fastest
+    return [c for c in contenders if c.decay >= least]
 
 
-def _good(rungs: _Rungs, k: int, reserve: list[Contender], wanted: float) -> bool:
+def _good(rungs: _Rungs, k: int, reserve: list[Contender], enough: float) -> bool:
     """Whether rung k is fast and quiet enough to be taken, as far as is known."""
     rivals = [*(c for c, _ in rungs.values()), *reserve]
-    fast = _fast(rivals, wanted)
+    fast = _fast(rivals, enough)
     own = rungs[k][0]
     return any(c is own for c in fast) and own.error <= QUIET * min(c.error for c in fast)
 
@@ -228,9 +232,12 @@ def _numbers(gap: Gap) -> tuple[float, float]:
 
 
 def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
-            doubts: list[str]) -> VirtualSensor:
+            doubts: list[str], decay: float | None) -> VirtualSensor:
     """Return rung k with the proof, the ladder and its noise against the floor."""
     contender, sensor = rungs[k]
+    if decay is not None and contender.decay < 0.99 * decay:
+        doubts = [*doubts, f'a decay rate of {decay:g} 1/s was wanted: {contender.decay:.3g} 1/s '
+                  'is the fastest that was found at this order']
     upper = min(rungs)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)

@@ -61,8 +61,11 @@ class NoiseModel:
         """Return the steady-state variance of ``Cv e - Q n``, ``d e = N e + B w``, largest row."""
         direct = np.sum((Q * self.reading) ** 2, axis=1)
         if len(N):
-            X = (solve_continuous_lyapunov(N, -B @ B.T) if self.sample_time is None
-                 else solve_discrete_lyapunov(N, B @ B.T))
+            try:
+                X = (solve_continuous_lyapunov(N, -B @ B.T) if self.sample_time is None
+                     else solve_discrete_lyapunov(N, B @ B.T))
+            except (np.linalg.LinAlgError, ValueError):  # on the boundary, or beyond numbers
+                return np.inf
             direct = direct + np.einsum('pi,ij,pj->p', Cv, X, Cv)
         return float(direct.max(initial=0.0))
 
