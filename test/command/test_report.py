@@ -135,7 +135,8 @@ def test_bounded_ones_say_by_how_much(discrete):
     _, result, text = discrete
     shown, entry = Page(text), result['y1', 'y1']
     assert entry.grade == 'bounded'
-    assert shown.fact('e1', 'unknown inputs').endswith(f'at most {entry.disturbance_gain:.3g} m')
+    assert shown.fact('e1', 'unknown inputs').endswith(
+        f'at most {entry.disturbance_gain:.3g} m (near the operating point)')
     assert shown.fact('e2', 'unknown inputs') == 'do not reach it'
     assert 'within a bound' in shown.sections['e1'] and '1 of them within a bound' in shown.text
 

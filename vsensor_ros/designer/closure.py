@@ -94,8 +94,12 @@ def whole(known: Quotient) -> Closure:
 
 
 def candidates(known: Quotient, noise: NoiseModel, closed: Closure,
-               decay: float) -> Iterator[Candidate]:
-    """Yield virtual sensors on a closure: without the free gain M, and with good ones."""
+               decay: float, polish: bool = True) -> Iterator[Candidate]:
+    """
+    Yield virtual sensors on a closure: without the free gain M, and with good ones.
+
+    ``polish``: descend to the quietest gain at last, if there are few.
+    """
     k, t = len(closed.W), len(closed.T)
     size = (k, t)
     outputs = solve_left(np.vstack([closed.W, known.E]), known.v)
@@ -115,7 +119,7 @@ def candidates(known: Quotient, noise: NoiseModel, closed: Closure,
     for M in _riccati(closed, W0B @ W0B.T, noise.sample_time, decay):
         found.append(M)
         yield member(M)
-    if not found or k * t > POLISHED:
+    if not found or not polish or k * t > POLISHED:
         return
 
     def cost(flat: np.ndarray) -> float:

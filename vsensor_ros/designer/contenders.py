@@ -185,8 +185,8 @@ def closed(ground: Ground) -> list[Contender]:
 def whole(ground: Ground) -> list[Contender]:
     """Return observers of everything known but the readings: they exist whenever any does."""
     return judged(ground, closure.candidates(ground.known, ground.noise,
-                                             closure.whole(ground.known), ground.decay),
-                  'reduced observer')
+                                             closure.whole(ground.known), ground.decay,
+                                             polish=False), 'reduced observer')
 
 
 def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None]) -> list[Contender]:

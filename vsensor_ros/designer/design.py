@@ -70,8 +70,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
             warnings.simplefilter('ignore', LinAlgWarning)
             warnings.simplefilter('ignore', RuntimeWarning)
             entry = _answer(problem, prefer, decay, bounded, method)
-        if isinstance(entry, VirtualSensor):
-            entry = replace(entry, certificate=certify(plant, entry))
+            if isinstance(entry, VirtualSensor):
+                entry = replace(entry, certificate=certify(plant, entry))
         entries[fault_set, channel] = entry
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')

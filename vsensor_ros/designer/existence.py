@@ -138,7 +138,7 @@ def disturbed(problem: Problem, forced: frozenset[int]) -> str:
         known = complement(conditioned_invariant(problem.A, problem.C0, D))
         return not in_row_space(np.vstack([known, problem.C0]), problem.V)
 
-    if hides(problem.D):
+    if hides(problem.D) or not forced:  # not forced: exact arithmetic knows better
         # an unknown input that is read directly has no column of its own left
         D = plant.D / problem.scale[:, None]
         culprits = tuple(name for i, name in enumerate(plant.disturbances)
