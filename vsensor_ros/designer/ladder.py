@@ -40,7 +40,7 @@ from vsensor_ros.virtual_sensor import Noise, OrderStep, Proof, Refusal, Rung, V
 
 QUIET = 2.0  # the least order is taken whose noise is within this factor of the best
 SLUGGISH = 0.5  # of the wanted decay rate: slower is taken only where nothing is faster
-LIVELY = 1.5  # where no rate is wanted, the fastest is taken at so much of the least noise
+LIVELY = 1.25  # where no rate is wanted, the fastest is taken at so much of the least noise
 SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
 MOST_RUNGS = 12  # looked at, before the filter is taken instead
 
