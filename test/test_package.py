@@ -31,7 +31,7 @@ ARROWS = {  # room: what it may import besides itself
 }
 WITH_ROS = {'node', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'pandas', 'pooch', 'rich',
-        'sympy'}  # never on the machine
+        'sympy', 'threadpoolctl'}  # never on the machine
 
 
 def run(*command, cwd=ROOT, **environment):

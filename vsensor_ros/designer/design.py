@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -57,22 +58,10 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     for done, (fault_set, channel) in enumerate(tasks):
         if progress is not None:
             progress(done, len(tasks), f'{channel} without {", ".join(fault_set) or "a fault"}')
-        lost = _lost_before(entries, fault_set, channel)
-        if lost is not None:
-            if lost.alternative:  # that of fewer faults read more sensors
-                lost = replace(lost, alternative=alternative(
-                    pose(plant, fault_set, channel, functionals.get(channel))))
-            entries[fault_set, channel] = lost
-            continue
         problem = pose(plant, fault_set, channel, functionals.get(channel))
-        with np.errstate(all='ignore'), warnings.catch_warnings():
-            # candidates beyond use are told by the check of their equations
-            warnings.simplefilter('ignore', LinAlgWarning)
-            warnings.simplefilter('ignore', RuntimeWarning)
-            entry = _answer(problem, prefer, decay, bounded, method)
-            if isinstance(entry, VirtualSensor):
-                entry = replace(entry, certificate=certify(plant, entry))
-        entries[fault_set, channel] = entry
+        lost = _lost_before(entries, problem)
+        with _calmly():
+            entries[fault_set, channel] = lost or _answer(problem, prefer, decay, bounded, method)
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
@@ -162,16 +151,40 @@ def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
 
 
 def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | Refusal],
-                 fault_set: tuple[str, ...], channel: str) -> Refusal | None:
+                 problem: Problem) -> Refusal | None:
     """Return the refusal that holds already with fewer faults: less knowledge mends nothing."""
     for (fewer, of), entry in entries.items():
-        if of == channel and isinstance(entry, Refusal) and set(fewer) < set(fault_set):
+        if of == problem.channel and isinstance(entry, Refusal) \
+                and set(fewer) < set(problem.fault_set):
             without = ' and '.join(fewer) or 'no sensor'
             reason = entry.reason.partition('already when ')[2]
-            return replace(entry, fault_set=fault_set, reason=(
-                f'already when {reason}' if reason else
-                f'already when {without} alone has failed: {entry.reason}'))
+            return replace(
+                entry, fault_set=problem.fault_set,
+                reason=(f'already when {reason}' if reason else
+                        f'already when {without} alone has failed: {entry.reason}'),
+                # that of fewer faults read more sensors
+                alternative=alternative(problem) if entry.alternative else '')
     return None
+
+
+@contextmanager
+def _calmly() -> Iterator[None]:
+    """
+    Keep BLAS to one thread, and numbers beyond use from warning.
+
+    On many small matrices two threads are three times slower than one (without threadpoolctl the
+    environment can say so: OPENBLAS_NUM_THREADS=1). Candidates beyond use are told by the check
+    of their equations.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+        threads: AbstractContextManager[object] = threadpool_limits(1, user_api='blas')
+    except ImportError:
+        threads = nullcontext()
+    with threads, np.errstate(all='ignore'), warnings.catch_warnings():
+        warnings.simplefilter('ignore', LinAlgWarning)
+        warnings.simplefilter('ignore', RuntimeWarning)
+        yield
 
 
 def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
@@ -191,9 +204,8 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
         refusal = Refusal(problem.channel, problem.fault_set, obstruction, doubts=tuple(doubts))
         if not bounded:
             return replace(refusal, alternative=alternative(problem))
-        if method == 'svd':
-            return singular(problem)
-        return least_sensitive(problem, prefer, decay) or refusal
+        return certified(problem, singular(problem) if method == 'svd' else (
+            least_sensitive(problem, prefer, decay) or refusal))
     if exact and exact.forced != existence.forced:
         exact = None
     signs = measured_signs(problem)
@@ -206,7 +218,14 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
     if isinstance(found, VirtualSensor) and risky & set(found.active):
         names = ', '.join(problem.plant.terms[i].name for i in sorted(risky))
         found = replace(found, method=f'{found.method}; at rest unsure of {names}')
-    return found
+    return certified(problem, found)
+
+
+def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor | Refusal:
+    """Add to a virtual sensor how far its stability is proved."""
+    if isinstance(entry, VirtualSensor):
+        return replace(entry, certificate=certify(problem.plant, entry))
+    return entry
 
 
 def referee(problem: Problem) -> Verdict | None:
