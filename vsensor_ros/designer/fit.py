@@ -197,7 +197,8 @@ def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
         return None
     size = 1.0 / np.sqrt(np.diag(gram) + 1e-30 + 1e-12 * np.diag(gram).max(initial=0.0))
     scaled = size[:, None] * M
-    Q, R, _ = qr(scaled, pivoting=True)  # (u, u), (u, r)
+    # (u, u), (u, r); LAPACK does without an empty matrix
+    Q, R = qr(scaled, pivoting=True)[:2] if scaled.size else (np.eye(len(M)), scaled)
     diagonal = np.abs(np.diag(R))
     r = int(np.sum(diagonal > 1e-13 * diagonal.max(initial=0.0)))
     start = np.linalg.lstsq(scaled.T, v, rcond=1e-14)[0]
