@@ -176,7 +176,7 @@ def _riccati_in_steps(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.nda
     two. scipy's pencil takes ten times as long at 400 states.
     """
     A = A - cross @ np.linalg.solve(meter, E)
-    P = W - cross @ np.linalg.solve(meter, cross.T)
+    P: np.ndarray = W - cross @ np.linalg.solve(meter, cross.T)
     G = E.T @ np.linalg.solve(meter, E)
     A = A.T
     for _ in range(60):

@@ -65,7 +65,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
     a combination of the rows of E (that is order 0). ``freedom``: how many coefficients are free
     at order 0, 1, .. (None: no polynomial), where exact arithmetic knows. Source: method 3.4.
     """
-    speed = max(known.speed, np.finfo(float).tiny)
+    speed = max(known.speed, float(np.finfo(float).tiny))
     A = known.A / speed
     gap = Gap()
     seen = fresh = image(known.E.T, size=1.0, gap=gap)  # columns of E', E' and (E A)', ..
@@ -85,7 +85,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
             far = float(np.linalg.norm(rest))
             if far > CLEARLY or (freedom is not None and k < len(freedom)):
                 both = _extended(both, krylov[-1][:, None])
-                here.nonzero = min(here.nonzero, max(far, np.finfo(float).tiny))
+                here.nonzero = min(here.nonzero, max(far, float(np.finfo(float).tiny)))
                 gap.join(here)
                 yield k, None, here
                 continue

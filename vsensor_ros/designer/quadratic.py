@@ -136,9 +136,10 @@ def _rate(error: ErrorSystem, L: np.ndarray, t: np.ndarray | None = None) -> flo
         worst = _growth_by_multipliers(turned(error.N), L.T @ fed.p,
                                        solve_triangular(L, fed.g.T, lower=True).T * (
                                            fed.radius[:, None]), error.sample_time, t)
+    grows = float(worst + slack)
     if error.sample_time is None:
-        return -(worst + slack)
-    return float(-np.log(max(worst + slack, 1e-12)) / error.sample_time)
+        return -grows
+    return float(-np.log(max(grows, 1e-12)) / error.sample_time)
 
 
 def _growth(M: np.ndarray, sample_time: float | None) -> float:
@@ -252,7 +253,7 @@ def _peak_gains(N: np.ndarray, columns: np.ndarray, row: np.ndarray, L: np.ndarr
     T, U = schur(N, output='complex')
     c, X = (row @ U)[None, :], U.conj().T @ columns
     if sample_time is None:
-        h = 0.1 / max(float(np.linalg.norm(T, 1)), np.finfo(float).tiny)
+        h = 0.1 / max(float(np.linalg.norm(T, 1)), float(np.finfo(float).tiny))
         nodes, weights = np.polynomial.legendre.leggauss(4)
         at = [c @ expm(T * (0.5 * h * (1.0 + node))) for node in nodes]
         W = sum(0.5 * h * w * a.conj().T @ a for w, a in zip(weights, at))
