@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 import json
-import os
 from pathlib import Path
-import secrets
-import shutil
 from typing import Any, NoReturn
 
 import numpy as np
@@ -31,6 +28,7 @@ from vsensor_ros.virtual_sensor import (
     Rung,
     VirtualSensor,
 )
+from vsensor_ros.whole_file import write_whole
 
 FORMAT = 'vsensor_ros design'
 VERSION = 2
@@ -49,19 +47,7 @@ def write(design: Design, path: str | Path) -> None:
                        'make it of numbers and texts') from error
     _from_record(json.loads(text), path)
     try:
-        if os.path.exists(path) and not os.path.isfile(path):
-            Path(path).write_text(text, encoding='utf-8')
-            return
-        target = Path(os.path.realpath(path))
-        beside = target.with_name(f'.design.{secrets.token_hex(8)}')
-        try:
-            with open(beside, 'x', encoding='utf-8') as file:
-                file.write(text)
-            if target.exists():
-                shutil.copymode(target, beside)
-            os.replace(beside, target)
-        finally:
-            beside.unlink(missing_ok=True)
+        write_whole(path, text)
     except (OSError, ValueError) as error:
         raise BadInput(path, 'design file', f'cannot be written ({reason(error)})',
                        'name a file in a folder that exists and is writable') from error

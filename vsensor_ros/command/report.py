@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterable, Sequence
 from html import escape
 import os
 from pathlib import Path
-import secrets
-import shutil
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from vsensor_ros.expression import to_text
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.whole_file import write_whole
 
 MOST_PICTURES = 12
 GRID = 30  # sensors of a table of pairs
@@ -90,19 +89,7 @@ def write_report(path: str | Path, plant: Plant, design: Design,
         if not str(path).endswith(PAGES):
             target.mkdir(parents=True, exist_ok=True)
             target = target / 'index.html'
-        if target.exists() and not target.is_file():  # a pipe or a device
-            target.write_text(text, encoding='utf-8')
-            return target
-        whole = Path(os.path.realpath(target))
-        beside = whole.with_name(f'.report.{secrets.token_hex(8)}')
-        try:
-            with open(beside, 'x', encoding='utf-8') as file:
-                file.write(text)
-            if whole.exists():
-                shutil.copymode(whole, beside)
-            os.replace(beside, whole)
-        finally:
-            beside.unlink(missing_ok=True)
+        write_whole(target, text)
     except (OSError, ValueError) as error:
         raise BadInput(path, 'report', f'cannot be written ({reason(error)})',
                        'name a place that is writable; the design file is complete') from error

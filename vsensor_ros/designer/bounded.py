@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, LinAlgError, solve_continuous_are, solve_di
 from vsensor_ros.designer import closure
 from vsensor_ros.designer.canonical import identification_rows
 from vsensor_ros.designer.contenders import Contender, Ground, grounds, judged, static
-from vsensor_ros.designer.existence import examine, Existence, measured_signs
+from vsensor_ros.designer.existence import avoidable_signs, examine, Existence
 from vsensor_ros.designer.ladder import climb, SLUGGISH
 from vsensor_ros.designer.noise import (
     Filter,
@@ -204,9 +204,7 @@ def _relaxed(problem: Problem, decoupled: tuple[int, ...], floor: float | None,
     existence = examine(easier)
     if existence.obstruction is not None:
         return None
-    signs = measured_signs(easier)
-    if signs and examine(easier, signs).obstruction is not None:
-        signs = frozenset()
+    signs = avoidable_signs(easier)
     kept = tuple(i for i in range(len(plant.disturbances)) if i not in decoupled)
     relaxed = Relaxed(problem, easier, existence, signs, kept, np.inf, np.inf, 0)
     ground = _grounds(relaxed, None)[0]
@@ -508,9 +506,7 @@ def _composed(problem: Problem, prefer: str, decay: float | None) -> VirtualSens
     existence = examine(exact_problem)
     if existence.obstruction is not None:
         return None
-    signs = measured_signs(exact_problem)
-    if signs and examine(exact_problem, signs).obstruction is not None:
-        signs = frozenset()
+    signs = avoidable_signs(exact_problem)
     exact = climb(exact_problem, existence, signs, prefer, decay, None)
     if isinstance(exact, Refusal):
         return None

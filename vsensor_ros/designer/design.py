@@ -17,7 +17,12 @@ from vsensor_ros.designer import papers
 from vsensor_ros.designer.bounded import alternative, least_sensitive, singular
 from vsensor_ros.designer.certificate import certify
 from vsensor_ros.designer.exact import Verdict, verdict
-from vsensor_ros.designer.existence import disturbed, examine, measured_signs
+from vsensor_ros.designer.existence import (
+    avoidable_signs,
+    disturbed,
+    examine,
+    measured_signs,
+)
 from vsensor_ros.designer.ladder import climb, doubtful
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.expression import check_name
@@ -208,9 +213,7 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
             least_sensitive(problem, prefer, decay) or refusal))
     if exact and exact.forced != existence.forced:
         exact = None
-    signs = measured_signs(problem)
-    if signs and examine(problem, signs).obstruction is not None:
-        signs = frozenset()
+    signs = avoidable_signs(problem)
     found = (climb(problem, existence, signs, prefer, decay, exact) if method is None
              else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
                                      else 'identification'))

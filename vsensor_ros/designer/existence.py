@@ -78,6 +78,14 @@ def measured_signs(problem: Problem) -> frozenset[int]:
                      if set_valued(term) and in_row_space(problem.C0, g))
 
 
+def avoidable_signs(problem: Problem) -> frozenset[int]:
+    """Return ``measured_signs`` where a virtual sensor that does without them exists, or none."""
+    signs = measured_signs(problem)
+    if signs and examine(problem, signs).obstruction is not None:
+        return frozenset()
+    return signs
+
+
 def forced_closure(problem: Problem, forced: frozenset[int] = frozenset(),
                    gap: Gap | None = None) -> tuple[frozenset[int], np.ndarray]:
     """
