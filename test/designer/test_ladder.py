@@ -63,6 +63,17 @@ def test_one_free_coefficient_is_decided_exactly():
             assert members or verdict.startswith('none')
 
 
+def test_a_crossing_at_infinity_does_not_hide_a_stable_interval():
+    """Four masses without damping; one coefficient is free at order 3, and large ones serve."""
+    K = 2 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1)
+    K[3, 3] = 1
+    plant = Plant.from_matrices(
+        np.block([[np.zeros((4, 4)), np.eye(4)], [-K, np.zeros((4, 4))]]), None,
+        np.eye(8)[[6, 1, 4]], np.eye(8)[:, 1], Cd=[[1], [0], [0]])
+    sensor = design(plant, wanted={'w': [-1, -1, 0, -1, -1, 0, 0, -1]}, prefer='least')[(), 'w']
+    assert sensor.order == sensor.proof.lower == 3
+
+
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_a_stable_member_is_found_where_a_scan_finds_one(seed):

@@ -18,6 +18,7 @@ from vsensor_ros.designer.subspaces import unobservable
 STARTS = 6  # descents from different points
 LINES = 40  # looked along where descents found nothing
 CLEAR = 1e-7  # conditions of length one that cannot be met by so much are in contradiction
+FAR = 1e6  # times the size of the matrix: coefficients beyond are no use, or infinite
 CERTAIN = 12  # up to such a degree the linear program is trusted to exclude
 WORK = 3e7  # operations, in cubes of the degree, that one family is worth
 SIMPLEX = 3  # up to so many free coefficients a simplex helps over the kinks
@@ -119,7 +120,8 @@ def _along(family: Family, base: np.ndarray, direction: np.ndarray,
             continue
         if abs(value.real) > 1e-9 * abs(value) > 0:
             crossings.append(1.0 / value.real)
-    limits = np.unique(crossings)
+    # a crossing far beyond all else is one at infinity, moved by rounding
+    limits = np.unique([t for t in crossings if abs(t) < FAR * size])
     wide = max(np.abs(limits).max(initial=0.0), size)
     steps = [*(0.5 * (limits[:-1] + limits[1:])), *(limits[:1] - 0.1 * wide), *(limits[:1] - wide),
              *(limits[-1:] + 0.1 * wide), *(limits[-1:] + wide), 0.0]
