@@ -3,12 +3,12 @@
 import json
 from pathlib import Path
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 import numpy as np
 import pytest
 
 from vsensor_ros import Design, design, load_plant, Plant
-from vsensor_ros.designer.bounded import ALIKE, EXACT, NOISE_FACTOR, peak, singular, WORTH
+from vsensor_ros.designer.bounded import ALIKE, EXACT, NOISE_FACTOR, singular, WORTH
 from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.observer import Candidate
@@ -117,26 +117,6 @@ def test_bounded_design_is_saved_and_loaded(tank, tmp_path):
         assert loaded[key].disturbance_gain == tank[key].disturbance_gain
 
 
-@pytest.mark.parametrize('damping', [0.5, 1e-2, 1e-5])
-def test_peak_of_a_resonance(damping):
-    N, B, C = np.array([[0, 1], [-1, -2 * damping]]), np.array([[0], [1.0]]), np.array([[1.0, 0]])
-    gain, at = peak(N, B, C, np.zeros((1, 1)), None)
-    assert gain == pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=3e-6)
-    assert at == pytest.approx(np.sqrt(1 - 2 * damping**2), rel=1e-3)
-
-
-def test_peak_of_a_delay_and_of_a_high_pass():
-    gain, _ = peak(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1)
-    assert gain == pytest.approx(1.0, rel=3e-6)
-    gain, at = peak(-np.ones((1, 1)), np.ones((1, 1)), -np.ones((1, 1)), np.ones((1, 1)), None)
-    assert gain == pytest.approx(1.0, rel=3e-6) and at > 10
-
-
-def test_peak_of_two_inputs_is_the_largest_singular_value():
-    gain, _ = peak(-np.eye(2), np.diag([3.0, 4.0]), np.ones((1, 2)), np.zeros((1, 2)), None)
-    assert gain == pytest.approx(5.0, rel=3e-6)
-
-
 def largest_state(plant, omega):
     """Return how far a unit rho moves the states, against which rounding is measured."""
     points = 1j * omega if plant.sample_time is None else np.exp(1j * omega * plant.sample_time)
@@ -180,8 +160,9 @@ def bounded_ones(plant):
     return [e for e in design(plant, bounded=True).virtual_sensors if e.grade == 'bounded']
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1))
+@example(1081)  # its peak is hardly above the gain at pi / h
 def test_what_is_promised_holds_at_every_frequency(seed):
     plant = random_plant(seed)
     fastest = (np.pi / plant.sample_time if plant.sample_time else 1e4)
@@ -210,7 +191,7 @@ def test_what_is_promised_holds_at_every_frequency(seed):
                     1 + largest_state(plant, omega))
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_a_sinusoid_stays_within_the_gain_in_simulation(seed):
     plant = random_plant(seed - seed % 2 + 1)  # discrete: exact to simulate
@@ -233,6 +214,18 @@ def test_a_sinusoid_stays_within_the_gain_in_simulation(seed):
             if np.abs(x).max() > 1e5:  # an unstable plant: rounding would take over
                 break
         assert worst <= entry.disturbance_gain * (1 + 1e-6) + 1e-6
+
+
+@pytest.mark.parametrize('seed', [68, 70])  # whose least disturbed filters are too slow
+def test_what_a_refusal_names_is_kept(seed):
+    plant = random_plant(seed)
+    plain, bounded = design(plant), design(plant, bounded=True)
+    named = [(e.alternative.split(), bounded[key]) for key, e in plain.entries.items()
+             if isinstance(e, Refusal) and e.alternative]
+    assert named
+    for words, entry in named:
+        assert entry.order <= int(words[words.index('order') + 1])
+        assert entry.disturbance_gain <= float(words[words.index('most') + 1])
 
 
 def test_method_of_singular_values_is_never_better():

@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 import sys
 
-from hypothesis import given, HealthCheck, settings, strategies as st
+from hypothesis import example, given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -21,7 +21,7 @@ from vsensor_ros.virtual_sensor import VirtualSensor
 
 REFERENCE = json.loads((Path(__file__).parents[1] / 'reference.json').read_text())
 TANK = REFERENCE['b_tank_continuous']
-FEW = settings(deadline=None, max_examples=15, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=15, suppress_health_check=list(HealthCheck))
 
 
 def observer(plant, Phi, N, J, Cv, Q, Gz=(), Gy=(), P=None):
@@ -384,6 +384,7 @@ def test_no_slopes_in_their_bounds_break_the_inequality(seed, discrete, many):
 
 @FEW
 @given(seed=st.integers(0, 2**32 - 1))
+@example(seed=2086822)  # what is proved stays below each rate that is tried
 def test_simulated_errors_keep_rate_and_bound_in_steps(seed):
     """A sampled error system is simulated without any error of integration."""
     (plant, sensor), rng = random_case(seed, discrete=True)

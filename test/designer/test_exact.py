@@ -93,19 +93,19 @@ def check_terms(problem):
     return verdict
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(problems())
 def test_orders_and_freedom_are_those_of_the_definition(problem):
     check_orders(problem)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(problems(largest=4, terms=3))
 def test_forced_terms_are_those_of_all_sets_tried(problem):
     check_terms(problem)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(st.integers(1 - 10**12, 10**12 - 1), st.integers(-290, 290)),
                 min_size=1))
 def test_residues_are_those_of_the_decimals(decimals):
@@ -123,7 +123,7 @@ def test_residues_of_what_was_computed():
     assert residues[1] * 10 % PRIME == 3
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.integers(1, 60), st.integers(0, 30))
 def test_elimination_finds_rank_and_kernel(seed, m, n, r):
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from decimal import Context, ROUND_CEILING
 
 import numpy as np
 from scipy.linalg import block_diag, LinAlgError, solve_continuous_are, solve_discrete_are
@@ -21,6 +22,7 @@ from vsensor_ros.designer import closure
 from vsensor_ros.designer.canonical import identification_rows
 from vsensor_ros.designer.contenders import Contender, Ground, grounds, judged, static
 from vsensor_ros.designer.existence import avoidable_signs, examine, Existence
+from vsensor_ros.designer.gain import peak, peak_on_grid
 from vsensor_ros.designer.ladder import climb, SLUGGISH
 from vsensor_ros.designer.noise import (
     Filter,
@@ -36,7 +38,6 @@ from vsensor_ros.designer.observer import (
     close_loop,
     knows_arguments,
     linearised,
-    peak_gain,
 )
 from vsensor_ros.designer.papers import with_residual
 from vsensor_ros.designer.problem import pose, Problem
@@ -54,8 +55,6 @@ BISECTIONS = 4  # of the intensity, to the limit of the noise
 GUARDS = 5  # bisections of the bound that an H-infinity filter is made for
 CLOSURES = 4  # closed subspaces tried
 LARGEST_HINTED = 60  # states of a plant for which a refusal names the alternative
-TOLERANCE = 1e-6  # relative, of a peak over frequency
-GRID = 40  # frequencies from which a peak is sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +89,14 @@ class Disturbed(NoiseModel):
             return super().variance(N, B, Cv, Q)
         size = self.v_size[:, None]
         noise = super().variance(N, B[:, :noisy], size * Cv, size * Q)
-        gain = _on_grid(N, B[:, noisy:] / self.weight, size * Cv,
+        gain = peak_on_grid(N, B[:, noisy:] / self.weight, size * Cv,
                         size * (self.Vd - Q @ self.Cd), self.sample_time)[0]
         return gain**2 * max(1.0, noise / self.limit**2) ** 4
 
     def gain(self, candidate: Candidate) -> float:
         """Return the peak over a grid of frequencies of the unknown inputs' gain."""
         size = self.v_size[:, None]
-        return _on_grid(candidate.N, candidate.Phi @ self.D - candidate.J @ self.Cd,
+        return peak_on_grid(candidate.N, candidate.Phi @ self.D - candidate.J @ self.Cd,
                         size * candidate.Cv, size * (self.Vd - candidate.Q @ self.Cd),
                         self.sample_time)[0]
 
@@ -114,6 +113,7 @@ class Relaxed:
     floor: float  # noise of the quietest, when nothing is decoupled
     least: float  # disturbance of the least disturbed Kalman filter
     order: int  # of that filter
+    quick: bool  # whether that filter is fast enough to be taken
 
     @property
     def limit(self) -> float:
@@ -160,9 +160,14 @@ def alternative(problem: Problem) -> str:
     relaxed = relax(problem)
     if relaxed is None:
         return ''
-    return (f'not decoupled, but bounded: order {relaxed.order} or less with '
-            f'{_at_most(problem, relaxed.kept, WORTH * relaxed.least)} '
-            '(bounded=True, or --bounded)')
+    order, gain = relaxed.order, ALIKE * WORTH * relaxed.least
+    if not relaxed.quick:  # whether its filter is fast enough to be taken is known when it is
+        sensor = _chosen(relaxed, 'quiet', None)
+        if sensor is None:
+            return ''
+        order, gain = sensor.order, sensor.disturbance_gain
+    return (f'not decoupled, but bounded: order {order} or less with '
+            f'{_at_most(problem, relaxed.kept, gain)} (bounded=True, or --bounded)')
 
 
 def relax(problem: Problem) -> Relaxed | None:
@@ -206,16 +211,16 @@ def _relaxed(problem: Problem, decoupled: tuple[int, ...], floor: float | None,
         return None
     signs = avoidable_signs(easier)
     kept = tuple(i for i in range(len(plant.disturbances)) if i not in decoupled)
-    relaxed = Relaxed(problem, easier, existence, signs, kept, np.inf, np.inf, 0)
+    relaxed = Relaxed(problem, easier, existence, signs, kept, np.inf, np.inf, 0, False)
     ground = _grounds(relaxed, None)[0]
     swept = _swept(relaxed, ground, floor)
     if not swept:
         return None
     floor = min(c.error for _, c in swept) if floor is None else floor
-    inside = [(noise.gain(c.candidate), c.order) for noise, c in swept
-              if c.error <= NOISE_FACTOR * floor]
-    least, order = min(inside, default=(np.inf, 0))
-    return replace(relaxed, floor=floor, least=least, order=order)
+    inside = [(noise.gain(c.candidate), c.order, c.decay >= SLUGGISH * ground.decay)
+              for noise, c in swept if c.error <= NOISE_FACTOR * floor]
+    least, order, quick = min(inside, default=(np.inf, 0, False))
+    return replace(relaxed, floor=floor, least=least, order=order, quick=quick)
 
 
 def _posed(problem: Problem, plant: Plant) -> Problem:
@@ -282,7 +287,7 @@ def _guarded(ground: Ground, noise: Disturbed) -> Iterator[Filter]:
         N = known.A - found.L @ known.E
         if decay_of(np.linalg.eigvals(N), h) <= 0:
             return np.inf
-        return _on_grid(N, B - found.L @ D, found.Cv, -found.g @ D, h)[0]
+        return peak_on_grid(N, B - found.L @ D, found.Cv, -found.g @ D, h)[0]
 
     low, high = 0.0, worst(start)
     if not np.isfinite(high):
@@ -401,89 +406,6 @@ def error_system(problem: Problem, sensor: VirtualSensor,
     return (N, sensor.Phi @ plant.D - J @ Cd, sensor.Cv, problem.wanted[2] - sensor.Q @ Cd)
 
 
-def peak(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
-         sample_time: float | None) -> tuple[float, float]:
-    """
-    Return the peak over frequency of |C (s - N)^-1 B + D| and its frequency [rad/s].
-
-    N (k, k) stable, B (k, d), C (p, k), D (p, d). The peak is not exceeded: a bound is raised
-    until the Hamiltonian matrix shows no frequency at which the gain crosses it (Bruinsma and
-    Steinbuch 1990), to TOLERANCE.
-    """
-    gain, at = _on_grid(N, B, C, D, sample_time)
-    if gain == 0.0 or not len(N):
-        return gain, at
-    A, Bc, Cc, Dc = _continuous(N, B, C, D, sample_time)
-    size = np.linalg.norm(A, 2)
-    for _ in range(30):
-        bound = (1 + TOLERANCE) * gain
-        R = bound**2 * np.eye(Bc.shape[1]) - Dc.T @ Dc
-        moved = A + Bc @ np.linalg.solve(R, Dc.T @ Cc)
-        values = np.linalg.eigvals(np.block([
-            [moved, Bc @ np.linalg.solve(R, Bc.T)],
-            [-Cc.T @ (Cc + Dc @ np.linalg.solve(R, Dc.T @ Cc)), -moved.T]]))
-        near = np.abs(values.real) < 1e-6 * (np.abs(values) + 1e-6 * size)
-        at_bound = np.unique(np.abs(values.imag[near]))
-        if not len(at_bound):
-            break
-        between = np.sqrt(at_bound[1:] * at_bound[:-1]), 0.5 * (at_bound[1:] + at_bound[:-1])
-        tried = np.concatenate([at_bound, *between])
-        if sample_time is not None:
-            tried = 2 * np.arctan(tried) / sample_time
-        gains = _gains(N, B, C, D, tried, sample_time)
-        best = int(np.argmax(gains))
-        if gains[best] <= bound:
-            break
-        gain, at = float(gains[best]), float(tried[best])
-    return (1 + TOLERANCE) * gain, at
-
-
-def _on_grid(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
-             sample_time: float | None) -> tuple[float, float]:
-    """Return the peak of the gain over a grid of frequencies, and where it is [rad/s]."""
-    if not D.size:
-        return 0.0, 0.0
-    direct = float(np.linalg.norm(D, 2))
-    if not len(N):
-        return direct, 0.0
-    poles = np.linalg.eigvals(N)
-    if sample_time is not None:
-        poles = np.log(np.where(np.abs(poles) > 1e-6, poles, 1e-6).astype(complex)) / sample_time
-    corners = np.abs(poles[np.abs(poles) > 0])
-    low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
-    grid = np.concatenate([[0.0], corners, np.abs(poles.imag),
-                           np.geomspace(low / 10, 10 * high, GRID)])
-    if sample_time is not None:
-        limit = np.pi / sample_time
-        grid = np.concatenate([grid[grid < limit], np.linspace(limit / 10, limit, 10)])
-    gains = _gains(N, B, C, D, grid, sample_time)
-    best = int(np.argmax(gains))
-    if sample_time is None and direct > gains[best]:
-        return direct, np.inf
-    return float(gains[best]), float(grid[best])
-
-
-def _gains(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, omega: np.ndarray,
-           sample_time: float | None) -> np.ndarray:
-    """Return |C (s - N)^-1 B + D| at frequencies omega [rad/s]."""
-    s = 1j * omega if sample_time is None else np.exp(1j * omega * sample_time)
-    shifted = s[:, None, None] * np.eye(len(N)) - N
-    transfer = C @ np.linalg.solve(shifted, np.broadcast_to(B, (len(s), *B.shape))) + D
-    if 1 in D.shape:
-        return np.asarray(np.sqrt(np.sum(np.abs(transfer) ** 2, axis=(1, 2))))
-    return np.asarray(np.linalg.norm(transfer, 2, axis=(1, 2)))
-
-
-def _continuous(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
-                sample_time: float | None) -> tuple[np.ndarray, ...]:
-    """Return a continuous system of the same gains: z = (1 + s)/(1 - s)."""
-    if sample_time is None:
-        return N, B, C, D
-    inverse = np.linalg.inv(N + np.eye(len(N)))
-    return (inverse @ (N - np.eye(len(N))), np.sqrt(2) * inverse @ B, np.sqrt(2) * C @ inverse,
-            D - C @ inverse @ B)
-
-
 def _composed(problem: Problem, prefer: str, decay: float | None) -> VirtualSensor | None:
     """
     Decouple the rows that can be, and use what they give as readings for the others.
@@ -587,7 +509,7 @@ def _cascade(plant: Plant, exact: VirtualSensor, below: VirtualSensor, clear: li
         z0=np.concatenate([exact.z0, below.z0 + gain_z @ exact.z0]),
         z0_gain=np.vstack([exact.z0_gain, gain + gain_z @ exact.z0_gain]),
         eigenvalues=eigenvalues[np.lexsort([eigenvalues.imag, eigenvalues.real])],
-        noise_gain=peak_gain(N, J, Cv, whole_Q, plant.sample_time), ladder=())
+        noise_gain=peak(N, J, Cv, whole_Q, plant.sample_time)[0], ladder=())
 
 
 def _scaled(problem: Problem, sensor: VirtualSensor) -> Candidate:
@@ -649,7 +571,8 @@ def _told(problem: Problem, kept: tuple[int, ...], sensor: VirtualSensor) -> str
 
 def _at_most(problem: Problem, kept: tuple[int, ...], gain: float) -> str:
     names = [problem.plant.disturbances[i] for i in kept]
-    return (f'at most {gain:.2g}{_unit(problem)} per unit of '
+    above = float(Context(prec=2, rounding=ROUND_CEILING).create_decimal(gain))
+    return (f'at most {above:.2g}{_unit(problem)} per unit of '
             f'{" and ".join(names)}{" together" * (len(names) > 1)}'
             + ' near the operating point' * bool(problem.plant.terms))
 

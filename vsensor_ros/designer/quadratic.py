@@ -342,7 +342,7 @@ def _climb(solve: Solve, ceiling: float, low: float, wanted: float,
     while high - low > accuracy * high:
         reached = proved(rate)
         low = max(low, reached)
-        if reached < (1 - accuracy) * rate:
+        if not reached >= (1 - 0.5 * accuracy) * rate:  # with less, the interval would not close
             high = rate
         rate = 0.5 * (low + high)
     for share in (0.9, 0.6, 0.3):  # somewhat less than the largest rate bounds the noise better
