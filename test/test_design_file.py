@@ -58,14 +58,16 @@ def example():
         Refusal('y1', ('y1',), 'rho1 reaches y1', ('rank of C0',), 'a bounded one exists'),
         sensor('y2', ('y2',), Qu=np.array([[1.0 / 3.0]]), Gu=(np.array([[-0.1]]),), proof=PROOF,
                ladder=LADDER, noise=Noise(0.3, 0.1, True), certificate=GLOBAL),
-        sensor('y2', ('y2', 'y3'), order=2, certificate=REGION),
+        sensor('y2', ('y2', 'y3'), order=2, certificate=REGION,
+               start=np.array([[2.0, 1.0 / 3.0], [1.0 / 3.0, 1.0 / 18.0]])),
         Refusal('y3', ('y2', 'y3'), 'nothing sees x3'),
         sensor('v', (), grade='bounded', disturbance_gain=0.25, noise=Noise(0.3, np.inf, False),
                certificate=NONE),
         sensor('w', ('y1',), rows=2, order=2, Qu=np.array([[1.5], [-0.0]])),
         sensor('w', (), rows=3, order=0))
     return Design('servo', '0' * 64, ('x1', 'x2', 'x3'), ('u1',), SENSORS, {'y1': 'rad'}, None,
-                  {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'))
+                  {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'),
+                  np.array([[0.0], [1.0 / 3.0], [-2.0]]))
 
 
 @pytest.fixture(name='written')
@@ -94,6 +96,8 @@ def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     for name in ('plant_name', 'plant_hash', 'states', 'inputs', 'sensors', 'units',
                  'sample_time', 'fault_sets', 'wanted'):
         assert getattr(loaded, name) == getattr(saved, name)
+    bits(loaded.Cu, saved.Cu)
+    assert not loaded.Cu.flags.writeable and not saved.Cu.flags.writeable
     assert list(loaded.entries) == list(saved.entries)
     for key, entry in saved.entries.items():
         other = loaded.entries[key]
@@ -253,6 +257,21 @@ BROKEN = {
         lambda r: certificate(r, 2)['region'][0].update(low=3.0), 'region[0].low: is not below'),
     'side left out': (lambda r: certificate(r, 2)['region'][0].pop('low'), 'low: is missing'),
     'lipschitz': (lambda r: certificate(r).update(lipschitz=1.0), 'lipschitz: must be a list'),
+    'shape of start': (lambda r: first_sensor(r).update(start=[[1.0, 0.0]]),
+                       'start: is not 1 x 1'),
+    'start of null': (lambda r: first_sensor(r).update(start=None), 'start: must be a list'),
+    'negative start': (lambda r: first_sensor(r).update(start=[[-1e-9]]),
+                       'start: is not a covariance'),
+    'start that is not symmetric': (
+        lambda r: r['entries'][2].update(start=[[2.0, 1.0], [0.5, 2.0]]), 'is not symmetric'),
+    'start with a negative eigenvalue': (
+        lambda r: r['entries'][2].update(start=[[1e6, 1.1], [1.1, 1e-6]]), 'not a covariance'),
+    'start that is no covariance': (
+        lambda r: r['entries'][2].update(start=[[0.0, 1.0], [1.0, 2.0]]), 'not a covariance'),
+    'start that is too large': (
+        lambda r: r['entries'][2].update(start=[[1.0, 1e999], [1e999, 1.0]]), 'finite'),
+    'shape of Cu': (lambda r: r['plant'].update(Cu=[[1.0]]), 'plant.Cu: is not 3 x 1'),
+    'Cu of null': (lambda r: r['plant'].update(Cu=None), 'plant.Cu: must be a list'),
     'lipschitz left out': (lambda r: certificate(r).pop('lipschitz'), 'lipschitz: is missing'),
 }
 
@@ -278,6 +297,16 @@ def test_refused_with_one_line(written, case):
     assert expected in refusal_line(written)
 
 
+def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written):
+    def older(record):
+        record.update(version=2)
+        del record['plant']['Cu'], record['entries'][2]['start']
+    rewrite(written, older)
+    read = Design.load(written)
+    assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)
+    assert len(read.entries) == len(example().entries)
+
+
 @pytest.mark.parametrize('text', ['NaN', 'Infinity', '-Infinity'])
 def test_not_finite_is_refused_by_the_parser(written, text):
     record = written.read_text()
@@ -287,7 +316,8 @@ def test_not_finite_is_refused_by_the_parser(written, text):
 
 def test_duplicate_key_binary_deep_and_missing(written, tmp_path):
     text = written.read_text()
-    written.write_text(text.replace('"version": 2', '"version": 2, "version": 2'))
+    version = f'"version": {VERSION}'
+    written.write_text(text.replace(version, f'{version}, {version}'))
     assert 'version: stands there twice' in refusal_line(written)
     written.write_bytes(b'\xff\xfe\x00')
     assert 'not a text file' in refusal_line(written)

@@ -31,7 +31,8 @@ from vsensor_ros.virtual_sensor import (
 from vsensor_ros.whole_file import write_whole
 
 FORMAT = 'vsensor_ros design'
-VERSION = 2
+VERSION = 3
+OLDEST = 2  # has neither the optional key start nor Cu
 LARGEST_FILE = 64 * 2**20
 LARGEST_SIDE = 10_000  # rows or columns of one matrix; keeps a forged file from eating the memory
 _MEND = 'write the file anew with the designer'
@@ -75,6 +76,7 @@ def _to_record(design: Design) -> dict[str, Any]:
             'inputs': list(design.inputs),
             'sensors': list(design.sensors),
             'units': dict(design.units),
+            **({} if design.Cu is None else {'Cu': design.Cu.tolist()}),
         },
         'wanted': list(design.wanted),
         'entries': [_entry_record(entry) for entry in design.entries.values()],
@@ -104,6 +106,7 @@ def _entry_record(v: VirtualSensor | Refusal) -> dict[str, Any]:
         'ladder': [{**asdict(rung), 'decay': _null(rung.decay)} for rung in v.ladder],
         'noise': None if v.noise is None else {**asdict(v.noise), 'floor': _null(v.noise.floor)},
         'certificate': None if v.certificate is None else _certificate_record(v.certificate),
+        **({} if v.start is None else {'start': v.start.tolist()}),
     }
 
 
@@ -295,12 +298,13 @@ def _from_record(record: Any, path: str | Path) -> Design:
         raise BadInput(path, 'format', f'is not {FORMAT!r}', 'name a file that the designer wrote')
     top = _Reader(path, '', record)
     version = top.get('version', int, 'a whole number')
-    if version != VERSION:
+    if not OLDEST <= version <= VERSION:
         mend = 'update vsensor_ros' if version > VERSION else _MEND
-        raise top.fail('version', f'is {str(version):.20}; this vsensor_ros reads {VERSION}', mend)
+        raise top.fail('version', f'is {str(version):.20}; this vsensor_ros reads {OLDEST} to '
+                       f'{VERSION}', mend)
     top.only(('format', 'version', 'plant', 'wanted', 'entries'))
     plant = top.object('plant')
-    plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units'))
+    plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu'))
     states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
     sample_time = None
     if plant.record.get('sample_time', 0) is not None:
@@ -314,8 +318,9 @@ def _from_record(record: Any, path: str | Path) -> Design:
     for name in wanted:
         if name in sensors:
             raise top.fail('wanted', f'{name} is a sensor')
+    Cu = plant.array('Cu', len(sensors), len(inputs)) if 'Cu' in plant.record else None
     design = Design(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
-                    sample_time, {}, wanted)
+                    sample_time, {}, wanted, Cu)
     for reader in top.objects('entries'):
         entry = _read_refusal(reader, design) if 'reason' in reader.record else (
             _read_sensor(reader, design))
@@ -348,7 +353,7 @@ def _read_key(reader: _Reader, design: Design) -> tuple[str, tuple[str, ...]]:
 _SENSOR_KEYS = frozenset((
     'channel', 'fault_set', 'healthy', 'order', 'method', 'grade', 'noise_gain',
     'disturbance_gain', 'eigenvalues', 'terms', 'proof', 'ladder', 'noise', 'certificate',
-    *_ARRAYS))
+    'start', *_ARRAYS))
 
 
 def _read_sensor(reader: _Reader, design: Design) -> VirtualSensor:
@@ -391,7 +396,7 @@ def _read_sensor(reader: _Reader, design: Design) -> VirtualSensor:
         _read_proof(reader.optional('proof'), k, grade),
         tuple(_read_rung(item) for item in reader.objects('ladder')),
         _read_noise(reader.optional('noise')),
-        _read_certificate(reader.optional('certificate'), k))
+        _read_certificate(reader.optional('certificate'), k), _read_start(reader, k))
 
 
 def _read_proof(reader: _Reader | None, order: int, grade: str) -> Proof | None:
@@ -455,6 +460,22 @@ def _read_certificate(reader: _Reader | None, k: int) -> Certificate | None:
         lipschitz = reader.pair('lipschitz', (True, True))
     return Certificate(status, rate, reader.size('bound', infinite=True),
                        reader.array('S', k, k), tuple(region), lipschitz, reader.text('reason'))
+
+
+def _read_start(reader: _Reader, k: int) -> np.ndarray | None:
+    if 'start' not in reader.record:
+        return None
+    start = reader.array('start', k, k)
+    if not np.array_equal(start, start.T):
+        raise reader.fail('start', 'is not symmetric')
+    size = np.sqrt(np.abs(np.diag(start)))
+    unit = np.divide(1.0, size, out=np.zeros(k), where=size > 0.0)
+    with np.errstate(all='ignore'):
+        scaled = start * unit * unit[:, None]
+    if not np.isfinite(scaled).all() or start[size == 0.0].any() or (
+            k and np.linalg.eigvalsh(scaled).min() < -1e-6):
+        raise reader.fail('start', 'is not a covariance')
+    return start
 
 
 def _worst(eigenvalues: np.ndarray, design: Design) -> complex:

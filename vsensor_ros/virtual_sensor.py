@@ -129,6 +129,8 @@ class VirtualSensor:
     ladder: tuple[Rung, ...] = ()
     noise: Noise | None = None
     certificate: Certificate | None = None
+    # (k, k) covariance of Phi x - z at the start; None: not known
+    start: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         m = len(self.inputs)
@@ -191,6 +193,11 @@ class Design:
     sample_time: float | None
     entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal]
     wanted: tuple[str, ...] = ()  # functionals that are no sensors: their fault set may be ()
+    Cu: np.ndarray | None = None  # (l, m) what sensors read directly of inputs; None: not known
+
+    def __post_init__(self) -> None:
+        if self.Cu is not None:
+            self.Cu.flags.writeable = False
 
     def __getitem__(self, key: tuple[Iterable[str], str]) -> VirtualSensor | Refusal:
         """

@@ -51,6 +51,19 @@ def test_simulated_scenario(tmp_path):
     assert (scenario.start, scenario.end, scenario.failed_at) == (0.0, 3.0, 1.0)
 
 
+def test_what_sensors_read_directly_is_in_what_they_say(tmp_path):
+    plant = Plant.from_matrices(
+        [[-1.0]], [[1.0]], [[1.0], [1.0]], inputs=['u'], sensors=['y', 'direct'], initial=[3.0],
+        D=[[0.0]], Cu=[[0.0], [2.0]], Cd=[[0.0], [5.0]], disturbances=['rho'])
+    content = given()
+    content['simulation']['disturbances'] = {'rho': 'sin(t)'}
+    channels = load(tmp_path, content, plant).channels
+    t = channels['direct'].time
+    np.testing.assert_allclose(
+        channels['direct'].value[:10] - channels['y'].value[:10],
+        (2.0 * (1.0 + np.floor(2.0 * t + 1e-9) / 2.0) + 5.0 * np.sin(t))[:10], rtol=1e-8)
+
+
 def test_noise_is_on_the_readings_and_not_on_the_truth(tmp_path):
     content = given()
     content['simulation'] |= {'noise': {'y': 0.5}, 'sensor_rate': 100.0, 'initial': {'y': 1.0}}

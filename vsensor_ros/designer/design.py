@@ -25,6 +25,7 @@ from vsensor_ros.designer.existence import (
 )
 from vsensor_ros.designer.ladder import climb, doubtful
 from vsensor_ros.designer.problem import pose, Problem
+from vsensor_ros.designer.start import started
 from vsensor_ros.expression import check_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
@@ -70,7 +71,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-                  dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals))
+                  dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals),
+                  Cu=plant.Cu if plant.Cu.any() else None)
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, bounded: bool,
@@ -225,9 +227,9 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
 
 
 def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor | Refusal:
-    """Add to a virtual sensor how far its stability is proved."""
+    """Add to a virtual sensor how far its stability is proved and its start may be off."""
     if isinstance(entry, VirtualSensor):
-        return replace(entry, certificate=certify(problem.plant, entry))
+        return replace(started(problem, entry), certificate=certify(problem.plant, entry))
     return entry
 
 

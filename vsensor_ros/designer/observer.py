@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import matrix_balance
 
+from vsensor_ros.designer.gain import peak
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import in_row_space, measured_part, RANK_TOLERANCE, solve_left
@@ -20,7 +21,6 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.virtual_sensor import VirtualSensor
 
 EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)
-FREQUENCIES = 200  # grid points for the noise gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
         Gz=tuple(Gz), Gy=tuple(Gy), terms=plant.terms, sample_time=plant.sample_time,
         z0=Phi @ plant.initial - z0_gain @ (C0 @ plant.initial), z0_gain=z0_gain,
         eigenvalues=eigenvalues[np.lexsort([eigenvalues.imag, eigenvalues.real])],
-        noise_gain=peak_gain(N, J, Cv, Q, plant.sample_time), method=method,
+        noise_gain=peak(N, J, Cv, Q, plant.sample_time)[0], method=method,
         Qu=problem.wanted[1] - Q @ Cu, Gu=tuple(-gy @ Cu for gy in Gy))
     if max(equation_residuals(problem, sensor).values()) > EQUATION_TOLERANCE:
         return None
@@ -218,44 +218,6 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
                             * problem.scale, length(plant.G[i]))
                    for i in sensor.active), default=0.0),
     }
-
-
-def peak_gain(N: np.ndarray, J: np.ndarray, Cv: np.ndarray, Q: np.ndarray,
-              sample_time: float | None) -> float:
-    """
-    Return the peak over frequency of |Cv (s - N)^-1 J + Q|.
-
-    By this factor at most is an error of the readings handed on, at any frequency; taken on a
-    grid that holds zero, infinity and the frequencies of the poles.
-    """
-    if Q.shape[1] == 0:
-        return 0.0
-    if len(N) == 0:
-        return float(np.linalg.norm(Q, 2))
-    poles, right = np.linalg.eig(N)
-    if sample_time is None:
-        corner = np.abs(poles[np.abs(poles) > 0])
-        low, high = (corner.min(), corner.max()) if corner.size else (1.0, 1.0)
-        grid = np.concatenate([[0.0], np.geomspace(low / 30, high * 30, FREQUENCIES), corner])
-        s, feedthrough = 1j * grid, float(np.linalg.norm(Q, 2))
-    else:
-        angles = np.concatenate([np.linspace(0.0, np.pi, FREQUENCIES), np.abs(np.angle(poles)),
-                                 np.geomspace(1e-6, np.pi, FREQUENCIES)])
-        s, feedthrough = np.exp(1j * angles), 0.0
-    if np.linalg.cond(right) < 1e8:  # modal: k times faster
-        modal = np.linalg.solve(right, J.astype(complex))
-        transfer = np.array([(Cv @ right / (at - poles)) @ modal for at in s]) + Q
-    else:
-        transfer = np.array([Cv @ _solved(at * np.eye(len(N)) - N, J) for at in s]) + Q
-    return float(max(feedthrough, np.linalg.norm(transfer, 2, axis=(1, 2)).max()))
-
-
-def _solved(M: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Solve M X = R; where M is singular to the last bit, in the sense of least squares."""
-    try:
-        return np.linalg.solve(M, R)
-    except np.linalg.LinAlgError:
-        return np.linalg.lstsq(M, R.astype(complex), rcond=None)[0]
 
 
 def _clean(M: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from vsensor_ros.expression import compile_expression, parse
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate.fault import Channel, FAULTS
 from vsensor_ros.simulate.recording import find_recording, load_columns
-from vsensor_ros.simulate.simulate import simulate
+from vsensor_ros.simulate.simulate import readings, simulate
 
 TRUTH_PER_SAMPLE = 5    # the truth is computed this much finer than the sensors sample
 
@@ -139,7 +139,7 @@ def _simulated(given: _Reader, plant: Plant) -> tuple[dict[str, Channel], dict[s
                                     for name, value in zip(plant.states, plant.initial)])
     noise, random = given.numbers('noise', plant.sensors), np.random.default_rng(0)
     channels, truths = {}, {}
-    for name, y in zip(plant.sensors, plant.C @ x.T):
+    for name, y in zip(plant.sensors, readings(plant, t, x, u, rho).T):
         truths[name] = Channel.of(t, y)
         said = y[::fine] + noise.get(name, 0.0) * random.standard_normal(len(y[::fine]))
         channels[name] = Channel.of(t[::fine], said)
