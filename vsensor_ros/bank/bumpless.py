@@ -1,0 +1,77 @@
+"""
+A change of source without a jump: an offset that dies out is added to the new one's values.
+
+Pure: times [ns] are arguments. One for each channel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+
+_GONE = 1e-3  # of its first size: what is left of an offset then is dropped
+
+
+@dataclass(frozen=True)
+class Bumpless:
+    """
+    output = value + offset * exp(-(t - since) / time_constant), units of the channel.
+
+    So what the offset does to the output has fallen to 37 % after one time constant, and is gone
+    after 7. With the time constant 0 there is never any. Raises ValueError, one line.
+    """
+
+    time_constant: float  # s
+    offset: float = 0.0  # at `since`
+    since: int = 0  # ns
+    before: float = math.nan  # the last output before the switch, until the first one after it
+    step: float = math.nan  # that first output minus the last before; nan: none is known
+    steps: int = 0  # switches begun
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.time_constant) and self.time_constant >= 0.0):
+            raise ValueError(f'time_constant: {self.time_constant} is not a time in s; '
+                             'give 0 or more')
+
+    def begin(self, time: int, offset: float, before: float = math.nan) -> Bumpless:
+        """
+        Switch: add this offset to the new source's values from now on; none if not finite.
+
+        before: the last output that went out, nan when there was none. Something that is left of
+        the last switch is forgotten: see `left`.
+        """
+        if not math.isfinite(offset) or self.time_constant == 0.0:
+            offset = 0.0
+        return replace(self, offset=float(offset), since=time, before=float(before),
+                       step=math.nan, steps=self.steps + 1)
+
+    def left(self, time: int) -> float:
+        """
+        Return what is left of the offset at a time.
+
+        A little before `since` it is the whole offset; more than a time constant before, when the
+        clock was set back, there is none.
+        """
+        if self.offset == 0.0 or self.time_constant == 0.0:
+            return 0.0
+        age = (time - self.since) * 1e-9 / self.time_constant
+        factor = math.exp(-max(age, 0.0)) if age > -1.0 else 0.0
+        return self.offset * factor if factor >= _GONE else 0.0
+
+    def active(self, time: int) -> bool:
+        """Tell whether anything is left of the offset."""
+        return self.left(time) != 0.0
+
+    def add(self, value: float, time: int) -> float:
+        """Return the output for a value of the source."""
+        return value + self.left(time)
+
+    def sent(self, output: float) -> Bumpless:
+        """Note an output that goes out: the first one after a switch gives its step."""
+        if math.isnan(self.before) or math.isnan(output):
+            return self
+        return replace(self, step=output - self.before, before=math.nan)
+
+    def with_time_constant(self, time_constant: float, time: int) -> Bumpless:
+        """Let what is left decay with another time constant [s] from now on."""
+        return replace(self, time_constant=time_constant, offset=self.left(time), since=time)
