@@ -1,5 +1,7 @@
 """Sensors that read commands directly, and wanted functionals that are no sensors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,84 @@ def test_commands_that_change_cost_half_a_step_of_what_the_reading_jumps(
         assert moving < gain * most
         assert static < 1e-12
     assert e[2][0] < e[1][0] / 1.8 < e[0][0] / 1.8**2
+
+
+@pytest.mark.parametrize('command', [lambda t: np.sin(2 * t), lambda t: np.floor(2 * t) % 2.0],
+                         ids=['moving', 'jumping'])
+def test_a_known_Cu_is_taken_out_before_readings_are_put_on_straight_lines(
+        bench, mass, observers, command):
+    known = replace(observers, Cu=mass.Cu)
+    e = [errors(bench, mass, known, rate, command) for rate in (50, 100, 200)]
+    raw, _ = errors(bench, mass, observers, 50, command)
+    assert e[0][0] < 1e-3 < raw / 20
+    assert e[2][0] < e[1][0] / 3.5 < e[0][0] / 3.5**2  # as without commands
+    assert max(static for _, static in e) < 1e-12
+    assert bench.design(*observers.virtual_sensors, names=mass.sensors).Cu is None
+
+
+def test_readings_are_cleaned_anew_when_a_command_comes_late(bench, mass, observers):
+    rng, banks = np.random.default_rng(0), [Bank(replace(observers, Cu=mass.Cu), 100)
+                                            for _ in range(2)]
+    commands = {0: 0.0, 203: 1.0, 517: -2.0, 521: 4.0}
+    for now in range(0, 1000, 10):
+        for late, bank in zip((0, 90), banks):
+            for stamp, value in commands.items():
+                if now - 10 < stamp + late * (stamp > 0) <= now:
+                    assert bank.take('u1', stamp * MS, value) is None
+        if now % 30 == 0:
+            for name in ('a', 'p', 'v'):
+                value = rng.normal()
+                for bank in banks:
+                    bank.take(name, max(0, now - 3) * MS, value)
+        for bank in banks:
+            bank.advance(now * MS)
+    for name in ('a', 'v'):
+        prompt, late = (bank.estimate((name,), name) for bank in banks)
+        assert prompt == late is not None
+
+
+def test_a_reading_is_cleaned_of_what_it_has_seen_at_its_stamp(mass, observers):
+    bank = Bank(replace(observers, Cu=mass.Cu), 100)
+    for stamp, u in ((0, 1.0), (998, -2.0)):
+        bank.take('u1', stamp * MS, u)
+    for stamp in (0, 400, 800, 996):
+        bank.take('p', stamp * MS, 0.3 + SEEN)
+        bank.take('v', stamp * MS, 0.2)
+    bank.advance(1000 * MS)
+    assert bank.estimate(('a',), 'a') == pytest.approx(-SPRING * 0.3 - DRAG * 0.2 - 2.0 * DRIVE)
+    bank.take('p', 1004 * MS, 0.3 - 2.0 * SEEN)
+    bank.take('v', 1004 * MS, 0.2)
+    bank.advance(1000 * MS)
+    assert bank.estimate(('a',), 'a') == pytest.approx(-SPRING * 0.3 - DRAG * 0.2 - 2.0 * DRIVE)
+
+
+def test_commands_are_remembered_as_long_as_readings_that_have_seen_them(mass, observers):
+    rng, banks = np.random.default_rng(0), [Bank(replace(observers, Cu=mass.Cu), 100)
+                                            for _ in range(2)]
+    for now in range(0, 4800, 10):
+        u, p = rng.normal(size=2)
+        for late, bank in zip((0, 1000), banks):
+            bank.take('u1', now * MS, u)
+            if now % 480 == 0:
+                bank.take('p', now * MS, p)
+            if now == 3020 + late:  # redoes all that can be redone
+                bank.take('v', 3020 * MS, 1.0)
+            bank.advance(now * MS)
+    prompt, late = (bank.estimate(('v',), 'v') for bank in banks)
+    assert prompt == late is not None
+
+
+def test_one_that_needs_no_command_needs_none_when_readings_are_cleaned(bench):
+    v = bench.virtual_sensor([[-1.0]], [[1.0]], inputs=('u',))  # all of u comes with y2
+    design = replace(bench.design(v, inputs=('u',)), Cu=np.array([[0.0], [5.0]]))
+    for u, most in ((None, 1e-12), (3.0, 1e-12)):
+        bank = Bank(design, 100)
+        if u is not None:
+            bank.take('u', 0, u)
+        for now in range(0, 1010, 10):
+            bank.take('y2', now * MS, 2.0)
+            bank.advance(now * MS)
+        assert bank.estimate(('y1',), 'y1') == pytest.approx(2 * (1 - np.exp(-1)), abs=most)
 
 
 def random_sensor(bench, seed, sample_time, seen, J_free):
@@ -190,8 +270,8 @@ def test_wanted_functionals_of_several_rows_are_left_out(bench, wanted):
 def test_the_switch_decides_on_sensors_alone(wanted):
     switch = Switch.of(wanted)
     assert set(switch.decisions) == {'y1', 'y2'}
-    switch = switch.report('y1', True, 5)
+    switch = switch.isolate(('y1',), 5).decide(5, lambda *_: True, lambda *_: None)
     assert {name: d.source for name, d in switch.decisions.items()} == {
         'y1': Source.VIRTUAL, 'y2': Source.REAL}
     with pytest.raises(KeyError, match='v: no such sensor'):
-        switch.report('v', True, 6)
+        switch.isolate(('v',), 6)

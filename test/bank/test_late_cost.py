@@ -77,3 +77,15 @@ def test_a_great_max_age_keeps_a_bounded_past(make_bank):
     bank.take('y1', START + 6500 * bank.period, 1.0)
     bank.advance(START + 6500 * bank.period)
     assert len(counted) - before <= 1002
+
+
+def test_a_reading_that_is_too_old_to_count_redoes_nothing(make_bank):
+    bank, counted = make_bank(100.0, 0.2)
+    bank.take('y1', START, 1.0)
+    for k in range(300):
+        bank.take('y2', START + k * bank.period, 1.0)
+        bank.advance(START + k * bank.period)
+    before = len(counted)
+    assert bank.take('y1', START + 100 * bank.period, 2.0) is None
+    bank.advance(START + 299 * bank.period)
+    assert len(counted) == before

@@ -10,31 +10,34 @@ and everything after it is integrated again: held readings become interpolated o
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from vsensor_ros.bank.readings import Samples
-from vsensor_ros.bank.step import make_step, NOTHING, pad, widen
-from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
+from vsensor_ros.bank.record import Record
+from vsensor_ros.bank.stack import make_stack
+from vsensor_ros.virtual_sensor import Design, Refusal
 
-_LONGEST = 1000  # steps: a clock that jumps further ahead restarts the bank
+_LONGEST = 1000  # steps that can be taken back, at most
 _REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
-_LARGEST = 1e100  # a number beyond it is as good as infinite
+_OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """The bank at the grid time t_0 + index * period."""
+class _State(NamedTuple):
+    """The bank at the grid time t_0 + index * period, and what it was told of that time."""
 
-    index: int
-    z: np.ndarray  # (V, k), 0 where not running
+    tick: int
+    z: np.ndarray  # (V, k), of no meaning where not running
     running: np.ndarray  # (V,) bool
     since: np.ndarray  # (V,) index at which it started
     restarts: np.ndarray  # (V,) how often it became infinite
     outside: np.ndarray  # (V,) steps with an argument outside its domain
+    y: np.ndarray  # (L,) readings, 0 where there is none
+    there: np.ndarray  # (L + m,) bool: which readings and commands there are
+    held: np.ndarray  # (m,) commands that hold from then on; (0,) when nothing asks for them
 
 
 class Bank:
@@ -43,74 +46,80 @@ class Bank:
 
     t_0 is the stamp of the first thing taken. A virtual sensor starts, from its initial state,
     at the first grid time at which all that it needs is there, and stops when a reading that it
-    needs is older than max_age; it starts anew when that reading is back.
+    needs is older than its max_age; it starts anew when that reading is back. It is ready once it
+    has run for its warm-up.
 
     Wanted functionals of one row are stepped, too: ``estimate((), 'v')``. Those of several rows
     are left out.
     """
 
-    def __init__(self, design: Design, rate: float, max_age: float = 0.5) -> None:
+    def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
+                 jump_ahead: float | None = None) -> None:
         """
         Prepare for a rate [Hz] and readings of at most max_age [s], at least three periods.
 
-        Raises ValueError, one line, when the rate does not suit the design.
+        max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
+        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. Raises
+        ValueError, one line, when a number does not suit the design.
         """
         if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
             raise ValueError(f'rate: {rate} is not a rate in Hz; give a number above 0')
         if design.sample_time is not None and abs(rate * design.sample_time - 1.0) > 1e-6:
             raise ValueError(f'rate: {rate:g} Hz does not suit a plant with the sample time '
                              f'{design.sample_time:g} s; give {1.0 / design.sample_time:g}')
-        if not max_age > 0.0:
-            raise ValueError(f'max_age: {max_age} is not a time in s; give a number above 0')
         for name in set(design.sensors) & set(design.inputs):
             raise ValueError(f'{name}: is both a sensor and a command; rename one')
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
-        self._max_age = max(round(min(max_age, 1e9) * 1e9), 3 * self.period)
+        ages = ages_of(design.sensors, max_age, 3 * self.period)
         # steps that can be taken back; readings from before are as they were held
-        self._span = min(2 * self._max_age // self.period + 1, _LONGEST)
+        self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
+        if jump_ahead is not None and not jump_ahead > 0.0:
+            raise ValueError(f'jump_ahead: {jump_ahead} is not a time in s; give a number above 0')
+        self._jump = _LONGEST if jump_ahead is None else max(
+            3, round(min(jump_ahead, 1e9) * 1e9 / self.period))
         self._entries = {(frozenset(e.fault_set), e.channel): e for e in design.entries.values()}
-        kept = [v for v in design.virtual_sensors if len(v.Cv) == 1]
-        self._row = {(frozenset(v.fault_set), v.channel): i for i, v in enumerate(kept)}
-        self._keys = [(v.fault_set, v.channel) for v in kept]
-        self._step = make_step(kept, self.sensors, self.period * 1e-9) if kept else None
-        L, k = len(self.sensors), max((v.order for v in kept), default=0)
-        # pad one more and drop it, so that a design without virtual sensors has shapes, too
-        self._z0 = pad([v.z0 for v in kept] + [np.zeros(k)])[:-1]
-        self._Cv = pad([v.Cv[0] for v in kept] + [np.zeros(k)])[:-1]
-        self._Q = pad([widen(v, self.sensors, v.Q[0]) for v in kept] + [np.zeros(L)])[:-1]
-        self._z0_gain = pad([widen(v, self.sensors, v.z0_gain) for v in kept]
-                            + [np.zeros((k, L))])[:-1]
-        # None where no virtual sensor reads a command directly: nothing is spent on it
-        direct = any(v.Qu.any() or any(v.Gu[i].any() for i in v.active) for v in kept)
-        self._Qu = np.array([v.Qu[0] for v in kept]) if direct else None
-        # over readings, then commands: what each needs to run, and what it needs to start
-        self._runs_on = np.array([_needs(v, self.sensors) for v in kept], dtype=bool).reshape(
-            len(kept), L + len(self.inputs))
-        self._starts_on = self._runs_on.copy()
-        self._starts_on[:, :L] |= self._z0_gain.any(axis=1)
+        self._stack = stack = make_stack(design, self.period * 1e-9)
+        self._step = stack.step
+        self._seconds, self._sample_time = self.period * 1e-9, design.sample_time or 0.0
+        self._row = {(frozenset(fault_set), channel): i
+                     for i, (fault_set, channel) in enumerate(stack.keys)}
+        self._warm = np.array([min(c.warm_up / (self.period * 1e-9), 1e18)
+                               for c in stack.convergence])  # steps
+        self._everyone = np.ones(len(stack.keys), dtype=bool)
+        self._told = Inputs(ages, design.inputs, stack.Cu,
+                            stack.Qu is not None or stack.Cu is not None)
+        self._record = Record(np.array([c.slowest for c in stack.convergence]), stack.own,
+                              len(self.sensors), self.period * 1e-9)
+        self._base = self._record.in_steady_state(stack.error, stack.assumed)
         self.refused: Counter[tuple[str, str]] = Counter()  # by channel and reason
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock
         self.reset()
 
     def reset(self) -> None:
-        """Forget all readings, commands and states; counters of refusals and jumps go on."""
-        self._samples = {name: Samples() for name in (*self.sensors, *self.inputs)}
+        """Forget readings, commands and states; counters, distrust and what is believed go on."""
+        self._told.reset()
+        self._farewells: dict[str, tuple[int, float] | None] = {}
         self._origin: int | None = None
         self._now: int | None = None
+        self._began: int | None = None  # the clock's first time
         self._restart()
 
     def _restart(self) -> None:
         self._past: deque[_State] = deque()
+        self._settled: list[_State] = []  # from before the past, for the record
+        self._record.forget()
         self._redo: int | None = None  # the last index that late data leaves as it was
         self._credit = self._span  # steps that may be redone now
-        self._seen: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
         self._estimates: np.ndarray | None = None
+        self._held: np.ndarray | None = None
 
     @property
     def time(self) -> int | None:
         """Time of the state [ns]: the last grid time, or None before anything was taken."""
-        return self._at(self._past[-1].index) if self._past else None
+        return self._at(self._past[-1].tick) if self._past else None
+
+    # ------------------------------------------------------------------------ what comes in
 
     def take(self, name: str, stamp: int, value: float, now: int | None = None) -> str | None:
         """
@@ -119,41 +128,62 @@ class Bank:
         now: the time by which a stamp lies ahead of the clock; by default that of `advance`. Of
         two commands with one stamp (their messages have none of their own) the later one counts.
         """
-        samples = self._samples[name]
-        last = samples.stamps[-1] if samples.stamps else None
-        if not abs(value) < _LARGEST:
-            reason: str | None = 'not finite'
-        elif self._now is not None and stamp > max(self._now, now or 0) + self._max_age:
-            reason = 'stamp ahead of the clock'
-        else:
-            reason = samples.add(int(stamp), float(value), latest_wins=name in self.inputs)
-        if reason is not None:
-            self.refused[name, reason] += 1
-            return reason
+        latest = math.inf if self._now is None else max(self._now, now or 0)
+        changed = self._told.take(name, int(stamp), float(value), latest)
+        if isinstance(changed, str):
+            if changed != ISOLATED:
+                self.refused[name, changed] += 1
+            return changed
         if self._origin is None:
-            self._origin = stamp
-        changed = stamp  # the first time at which the channel has a new value
-        if name in self.sensors:
-            if self._past and stamp + self._max_age < self._at(self._past[0].index):
-                return None  # too old to count for any state that can be redone
-            if last is not None and stamp - last <= self._max_age:
-                changed = last + 1
+            self._origin = int(stamp)
         before = (changed - 1 - self._origin) // self.period
+        if self._past and before < self._past[0].tick and name in self._told.ages and \
+                stamp + self._told.ages[name] < self._at(self._past[0].tick):
+            return None  # too old to count for any state that can be redone
         if self._redo is None or before < self._redo:
             self._redo = before
         return None
 
+    def distrust(self, names: Iterable[str]) -> None:
+        """
+        Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
+
+        Their readings are forgotten and further ones refused, without counting. Every virtual
+        sensor that reads one, or started from one, stops at once, at all times that can be redone
+        too; it starts anew with the first reading from after the sensor has left the set.
+        """
+        names = frozenset(names)
+        unknown = sorted(names - set(self.sensors))
+        if unknown:
+            raise KeyError(f'{", ".join(unknown)}: no such sensor')
+        lost = names - self._told.distrusted
+        for name in lost:
+            self._farewells[name] = self._last_reading(name)
+        self._told.distrust(names, self._now)
+        if lost:
+            gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
+            rows, own = self._stack.starts_on[:, gone].any(axis=1), self._stack.own
+            stop = [s._replace(running=s.running & ~rows, there=s.there & ~gone)
+                    for s in (*self._settled, *self._past)]
+            self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
+            self._record.forget(rows | (gone[own] & (own >= 0)), gone[:len(self.sensors)])
+            self._estimates = self._held = None
+
+    def silent(self, name: str, now: int) -> bool:
+        """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
+        return self._told.silent(name, now, self._began)
+
     def confirmed(self, time: int, without: Iterable[str] = ()) -> bool:
         """Tell whether every sensor that is not silent, nor named, has said what it is then."""
-        return all(stamps[-1] >= time or time - stamps[-1] > self._max_age
-                   for name in self.sensors
-                   if name not in without and (stamps := self._samples[name].stamps))
+        return self._told.confirmed(time, without)
+
+    # ------------------------------------------------------------------------- steps in time
 
     def advance(self, now: int) -> None:
         """
         Bring the state to the last grid time that is not after now [ns].
 
-        A clock that goes back resets the bank; one that jumps ahead by more than 1000 periods
+        A clock that goes back resets the bank; one that jumps ahead by more than jump_ahead
         restarts the virtual sensors. Both are counted in `jumps`.
         """
         if self._now is not None and now < self._now:
@@ -161,73 +191,175 @@ class Bank:
             self.jumps['backwards'] += 1
         first, self._now = self._now is None, now
         if first:
-            self._drop_ahead()
+            self._began = now
+            self.refused.update(self._told.drop_ahead(now))
         if self._origin is None:
             return
         last = (now - self._origin) // self.period
-        if self._past and last - self._past[-1].index > _LONGEST:
+        if self._past and last - self._past[-1].tick > self._jump:
             self._restart()
             self.jumps['forwards'] += 1
         self._take_back(last)
-        if self._past and self._past[-1].index >= last:
+        if self._past and self._past[-1].tick >= last:
             return
         with np.errstate(all='ignore'):
             if not self._past:
-                oldest = min((s.stamps[0] for s in self._samples.values() if s.stamps),
-                             default=now)
+                oldest = self._told.oldest_stamp(now)
                 begin = max((oldest - self._origin) // self.period, last - self._span)
                 if begin > last:
                     return
                 self._past.append(self._first(begin))
-            while self._past[-1].index < last:
+            while self._past[-1].tick < last:
                 self._past.append(self._next(self._past[-1]))
-        self._estimates = None
-        while self._past[0].index < last - self._span:
-            self._past.popleft()
-        for samples in self._samples.values():
-            samples.forget(self._at(self._past[0].index))
+        self._estimates = self._held = None
+        while self._past[0].tick < last - self._span:
+            self._settled.append(self._past.popleft())
+        if len(self._settled) >= self._record.block:
+            self._settle()
 
     def _take_back(self, last: int) -> None:
         """Drop the states that late data changes; wait with it when that is often and far."""
         if not self._past or self._redo is None:
             self._redo = None
             return
-        newest = self._past[-1].index
+        newest = self._past[-1].tick
         self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
-        steps = newest - max(self._redo, self._past[0].index)
+        steps = newest - max(self._redo, self._past[0].tick)
         if steps > self._credit:
             return
         self._redo = None
         if steps > 0:
             self._credit -= steps
-            self._seen = self._estimates = None
-            while self._past[-1].index > newest - steps:
+            self._estimates = self._held = None
+            while self._past[-1].tick > newest - steps:
                 self._past.pop()
+
+    def _at(self, index: int) -> int:
+        assert self._origin is not None
+        return self._origin + index * self.period
+
+    def _first(self, index: int) -> _State:
+        V = len(self._everyone)
+        count = np.zeros(V, dtype=int)
+        return self._start(_State(index, np.zeros_like(self._stack.z0), np.zeros(V, dtype=bool),
+                                  count, count, count, *self._told.at(self._at(index))))
+
+    def _start(self, state: _State) -> _State:
+        """Start every virtual sensor that does not run and could."""
+        new = ~state.running & ~(self._stack.starts_on & ~state.there).any(axis=1)
+        if not new.any():
+            return state
+        z = np.where(new[:, None], self._stack.z0 + self._stack.z0_gain @ state.y, state.z)
+        new &= np.isfinite(z).all(axis=1)
+        z[~np.isfinite(z)] = 0.0
+        running = state.running | new
+        return state._replace(z=z, running=self._everyone if running.all() else running,
+                              since=np.where(new, state.tick, state.since))
+
+    def _next(self, state: _State) -> _State:
+        """Step to the next grid time."""
+        z, index = state.z, state.tick + 1
+        running, restarts, outside = state.running, state.restarts, state.outside
+        y, there, held = self._told.at(self._at(index))
+        broken = None
+        if self._step is not None and (running is self._everyone or running.any()):
+            u0, u1, u = self._told.over(self._at(state.tick), self._at(index))
+            z, out = self._step(z, state.y, y, u0, u1, u, state.held, held)
+            if out.any():
+                outside = outside + (out & running)
+            alive = running
+            if there is not self._told.everything:
+                alive = running & ~(self._stack.runs_on & ~there).any(axis=1)
+            if alive is not self._everyone or not (np.abs(z) < LARGEST).all():
+                finite = (np.abs(z) < LARGEST).all(axis=1)
+                broken = alive & ~finite
+                restarts = restarts + broken
+                running = alive & finite
+                z = np.where(running[:, None], z, 0.0)
+        state = _State(index, z, running, state.since, restarts, outside, y, there, held)
+        if running is self._everyone:
+            return state
+        if broken is not None and broken.any():
+            return state  # what broke starts anew with the next step
+        return self._start(state)
+
+    # ----------------------------------------------------------------------- what comes out
 
     def estimate(self, fault_set: Iterable[str], channel: str) -> float | None:
         """Return what the failed sensor would say at `time`; None when there is no answer."""
-        row = self._row.get((frozenset(fault_set), channel))
-        if row is None or not self._past or not self._past[-1].running[row]:
+        row = self._running(fault_set, channel)
+        if row is None:
             return None
         if self._estimates is None:
             state = self._past[-1]
-            y, _, u = self._inputs_at(state.index)
             with np.errstate(all='ignore'):
-                self._estimates = (self._Cv * state.z).sum(axis=1) + self._Q @ y
-                if self._Qu is not None:
-                    self._estimates += self._Qu @ u
+                self._estimates = self._stack.estimates(state.z, state.y, state.held)
         value = float(self._estimates[row])
         return value if math.isfinite(value) else None
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
+        row = self._running(fault_set, channel)
+        return None if row is None else self._at(int(self._past[-1].since[row]))
+
+    def ready(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether the virtual sensor runs and has forgotten its start."""
+        return self.waiting(fault_set, channel) == 0.0
+
+    def waiting(self, fault_set: Iterable[str], channel: str) -> float:
+        """Return the time [s] until it is ready: 0 when it is, infinite when it does not run."""
+        row = self._running(fault_set, channel)
+        if row is None:
+            return math.inf
+        return max(0.0, self._stack.convergence[row].warm_up - self._age(row))
+
+    def warm_up(self, fault_set: Iterable[str], channel: str) -> float:
+        """Return how long [s] it takes to forget its start; infinite when that is not known."""
         row = self._row.get((frozenset(fault_set), channel))
-        if row is None or not self._past or not self._past[-1].running[row]:
+        return math.inf if row is None else self._stack.convergence[row].warm_up
+
+    def deviation(self, fault_set: Iterable[str], channel: str) -> float:
+        """
+        Return the standard deviation of the estimate [unit of the channel]; infinite if unknown.
+
+        It has three parts: what noise and an imperfect model do in steady state, as designed and
+        as measured while the channel was healthy; what is left of the unknown start; and what
+        readings may have moved since the last ones that came.
+        """
+        row = self._running(fault_set, channel)
+        if row is None:
+            return math.inf
+        if self._held is None:
+            self._held = self._unseen()
+        found = math.hypot(self._base[row], self._held[row],
+                           self._stack.convergence[row].deviation(self._age(row)))
+        return math.inf if math.isnan(found) else found
+
+    def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
+        """
+        Return reading - estimate at the channel's last reading; None when that is not known.
+
+        A reading that is out of line with what was measured before, some time ago, was faulty
+        already: then it is the mean of what was measured.
+        """
+        row = self._running(fault_set, channel)
+        last = self._farewells.get(channel) if channel in self._told.distrusted else (
+            self._last_reading(channel) if channel in self.sensors else None)
+        if row is None:
             return None
-        return self._at(int(self._past[-1].since[row]))
+        mean = float(self._record.mean[row])
+        known = not math.isnan(mean)
+        spread = self._record.spread[row] if known else self._stack.error[row]
+        if last is not None and last[0] >= self._past[0].tick:
+            state = self._past[last[0] - self._past[0].tick]
+            value = last[1] - self._stack.estimates(state.z, state.y, state.held)[row]
+            if state.running[row] and (
+                    abs(value - (mean if known else 0.0)) <= _OUT_OF_LINE * spread):
+                return float(value)
+        return mean if known else None
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> str | None:
-        """Return in words why there is no estimate, or None when there is one."""
+        """Return in words why there is no estimate that is ready, or None when there is one."""
         entry = self._entries.get((frozenset(fault_set), channel))
         if entry is None:
             failed = ', '.join(sorted(fault_set)) or 'nothing'
@@ -236,18 +368,16 @@ class Bank:
             return entry.reason
         if len(entry.Cv) > 1:
             return f'{channel} has {len(entry.Cv)} rows; design one for each'
-        if self.estimate(entry.fault_set, channel) is not None:
-            return None
         row = self._row[frozenset(entry.fault_set), channel]
-        for name, needed in zip((*self.sensors, *self.inputs), self._starts_on[row]):
-            stamps = self._samples[name].stamps
-            if needed and not stamps:
-                kind = 'reading' if name in self.sensors else 'command'
-                return f'no {kind} of {name} yet'
-            if needed and name in self.sensors and self._now is not None:
-                age = self._now - stamps[-1]
-                if age > self._max_age:
-                    return f'{name} silent for {age * 1e-9:.1f} s'
+        if self.estimate(entry.fault_set, channel) is not None:
+            wait = self.waiting(entry.fault_set, channel)
+            if wait == math.inf:
+                return 'it is not known when it has forgotten its start'
+            unproved = '' if self._stack.convergence[row].proved else ' (not proved)'
+            return f'converging, {wait:.1f} s more{unproved}' if wait else None
+        missing = self._told.missing(self._stack.starts_on[row], self._now)
+        if missing is not None:
+            return missing
         if self._past and self._past[-1].running[row]:
             return 'its estimate is not finite'
         return 'starts with the next step'
@@ -264,84 +394,51 @@ class Bank:
 
     def _count(self, what: str) -> Counter[tuple[tuple[str, ...], str]]:
         counts = getattr(self._past[-1], what) if self._past else []
-        return Counter({key: int(n) for key, n in zip(self._keys, counts) if n})
+        return Counter({key: int(n) for key, n in zip(self._stack.keys, counts) if n})
 
-    def _at(self, index: int) -> int:
-        assert self._origin is not None
-        return self._origin + index * self.period
+    def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
+        """Return the row of a virtual sensor that is running now."""
+        row = self._row.get((frozenset(fault_set), channel))
+        return row if row is not None and self._past and self._past[-1].running[row] else None
 
-    def _drop_ahead(self) -> None:
-        """Forget what was taken before the clock was known and lies ahead of it."""
-        assert self._now is not None
-        for name, samples in self._samples.items():
-            while samples.stamps and samples.stamps[-1] > self._now + self._max_age:
-                samples.stamps.pop()
-                samples.values.pop()
-                self.refused[name, 'stamp ahead of the clock'] += 1
+    def _age(self, row: int) -> float:
+        """Return for how long [s] a virtual sensor has been running."""
+        state = self._past[-1]
+        return float(state.tick - state.since[row]) * self.period * 1e-9
 
-    def _inputs_at(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Return the readings (L,), 0 where there is none, and what is there (L + m,).
+    # ------------------------------------------------------------------- what is measured
 
-        And the commands that hold from then on (m,), or (0,) when nothing reads them directly.
-        """
-        if self._seen is None or self._seen[0] != index:
-            time = self._at(index)
-            values = [self._samples[name].interpolated(time, self._max_age)
-                      for name in self.sensors]
-            held = [self._samples[name].held(time) for name in self.inputs]
-            there = [v is not None for v in (*values, *held)]
-            self._seen = (index, np.array([v or 0.0 for v in values]), np.array(there, dtype=bool),
-                          NOTHING if self._Qu is None else np.array([v or 0.0 for v in held]))
-        return self._seen[1:]
+    def _last_reading(self, name: str) -> tuple[int, float] | None:
+        """Return a sensor's last reading, put at the grid time before it: (index, value)."""
+        samples = self._told.samples[name]
+        if not samples.stamps or not self._past:
+            return None
+        index = min((samples.stamps[-1] - self._at(0)) // self.period, self._past[-1].tick)
+        value = samples.interpolated(self._at(index), self._told.ages[name])
+        return None if value is None else (index, value)
 
-    def _first(self, index: int) -> _State:
-        V = len(self._keys)
-        count = np.zeros(V, dtype=int)
-        return self._start(_State(index, np.zeros_like(self._z0), np.zeros(V, dtype=bool),
-                                  count, count, count))
+    def _settle(self) -> None:
+        """Hand a block of states that nothing can change any more to the record."""
+        states, self._settled, stack = self._settled, [], self._stack
+        index, z, running, since, _, _, y, there, held = map(np.array, zip(*states))
+        heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
+                          for stamp in self._told.last_stamps()], dtype=int)
+        # a value that is only held says nothing
+        there = there[:, :len(self.sensors)] & (index[:, None] <= heard)
+        with np.errstate(all='ignore'):
+            estimates = stack.estimates(z, y, held)
+            readings = y if stack.Cu is None else y + held @ stack.Cu.T
+            counts = running & there[:, stack.own] & (stack.own >= 0) \
+                & (index[:, None] - since >= 2.0 * self._warm)  # nothing is left of the start
+            self._record.add(int(index[-1]), readings[:, stack.own] - estimates, counts, y, there)
+        self._base = self._record.in_steady_state(stack.error, stack.assumed)
+        self._told.forget(self._at(self._past[0].tick))
 
-    def _start(self, state: _State) -> _State:
-        """Start every virtual sensor that does not run and could."""
-        y, there, _ = self._inputs_at(state.index)
-        new = ~state.running & ~(self._starts_on & ~there).any(axis=1)
-        if not new.any():
-            return state
-        z = np.where(new[:, None], self._z0 + self._z0_gain @ y, state.z)
-        new &= np.isfinite(z).all(axis=1)
-        z[~np.isfinite(z)] = 0.0
-        return _State(state.index, z, state.running | new,
-                      np.where(new, state.index, state.since), state.restarts, state.outside)
-
-    def _next(self, state: _State) -> _State:
-        """Step to the next grid time."""
-        z, index = state.z, state.index + 1
-        running, restarts, outside = state.running, state.restarts, state.outside
-        y0, _, held0 = self._inputs_at(state.index)
-        y1, there, held1 = self._inputs_at(index)
-        broken = None
-        if self._step is not None and running.any():
-            t0, t1 = self._at(state.index), self._at(index)
-            commands = [self._samples[name].over(t0, t1) for name in self.inputs]
-            u0, u1, u = np.array(commands).reshape(-1, 3).T
-            z, out = self._step(z, y0, y1, u0, u1, u, held0, held1)
-            if out.any():
-                outside = outside + (out & running)
-            alive = running & ~(self._runs_on & ~there).any(axis=1)
-            finite = (np.abs(z) < _LARGEST).all(axis=1)
-            if not (finite & alive).all():
-                broken = alive & ~finite
-                restarts = restarts + broken
-                running = alive & finite
-                z = np.where(running[:, None], z, 0.0)
-        state = _State(index, z, running, state.since, restarts, outside)
-        if running.all():
-            return state
-        if broken is not None and broken.any():
-            return state  # what broke starts anew with the next step
-        return self._start(state)
-
-
-def _needs(v: VirtualSensor, sensors: Iterable[str]) -> list[bool]:
-    """Tell which sensors, then which commands, v cannot run without."""
-    return [name in v.reads for name in sensors] + [name in v.commands for name in v.inputs]
+    def _unseen(self) -> np.ndarray:
+        """Return the standard deviations (V,) because readings may have moved since they came."""
+        ages = self._told.ages_at(self._at(self._past[-1].tick))
+        slopes = self._record.slope
+        # before slopes are known: nothing is said of readings that are only a step old
+        slopes = np.where(np.isnan(slopes), np.where(ages > self._seconds, np.inf, 0.0), slopes)
+        with np.errstate(all='ignore'):
+            return self._stack.reach(slopes, ages, self._sample_time)

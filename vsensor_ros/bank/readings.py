@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 
 _MOST = 2**16  # samples kept at most, whatever is sent
 
@@ -13,6 +14,11 @@ class Samples:
     def __init__(self) -> None:
         self.stamps: list[int] = []
         self.values: list[float] = []
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self.stamps.clear()
+        self.values.clear()
 
     def add(self, stamp: int, value: float, latest_wins: bool = False) -> str | None:
         """Append a sample, or put it in the place of one with the same stamp; return why not."""
@@ -36,21 +42,32 @@ class Samples:
     def _drop(self, count: int) -> None:
         del self.stamps[:count], self.values[:count]
 
-    def interpolated(self, time: int, max_age: int) -> float | None:
+    def interpolated(self, time: int, max_age: int, seen: Seen = ()) -> float | None:
         """
         Return a reading's value at a time [ns]: linear between samples, else held.
 
         None before the first sample, and where the last one is older than max_age [ns] and the
-        next one unknown or too far from it to say what was between them.
+        next one unknown or too far from it to say what was between them. What each sample has
+        seen of commands, which jump, is taken out of it.
         """
-        i = bisect_right(self.stamps, time) - 1
-        if i < 0:
+        stamps = self.stamps
+        i = bisect_right(stamps, time)
+        if i == 0:
             return None
-        age = time - self.stamps[i]
-        if i + 1 < len(self.stamps) and (gap := self.stamps[i + 1] - self.stamps[i]) <= max_age:
-            part = age / gap
-            return (1.0 - part) * self.values[i] + part * self.values[i + 1]
-        return self.values[i] if age <= max_age else None
+        age, value = time - stamps[i - 1], self.values[i - 1]
+        if seen:
+            value -= _of_commands(seen, stamps[i - 1])
+        if i < len(stamps) and (gap := stamps[i] - stamps[i - 1]) <= max_age:
+            part, after = age / gap, self.values[i]
+            if seen:
+                after -= _of_commands(seen, stamps[i])
+            return (1.0 - part) * value + part * after
+        return value if age <= max_age else None
+
+    def before(self, time: int) -> int:
+        """Return the last stamp before a time [ns], or that time where there is none."""
+        i = bisect_left(self.stamps, time)
+        return self.stamps[i - 1] if i else time
 
     def held(self, time: int) -> float | None:
         """Return a command's value at a time [ns]: the last one given, however old."""
@@ -69,9 +86,20 @@ class Samples:
         if first == 0:
             return 0.0, 0.0, 0.0  # nobody who reads it is running yet
         mean, slope = self.values[first - 1], 0.0
+        if first == len(self.stamps):
+            return mean, mean, mean
         for i in range(first, bisect_left(self.stamps, end)):
             part = (self.stamps[i] - start) / (end - start)
             jump = self.values[i] - self.values[i - 1]
             mean += jump * (1.0 - part)
             slope += 6.0 * jump * part * (1.0 - part)
         return mean - slope / 2, mean + slope / 2, mean
+
+
+# gains of commands in a reading, and these commands
+Seen = Sequence[tuple[float, Samples]]
+
+
+def _of_commands(seen: Seen, time: int) -> float:
+    """Return what a reading at a time [ns] has in it of commands; one never given counts as 0."""
+    return sum(gain * (command.held(time) or 0.0) for gain, command in seen)

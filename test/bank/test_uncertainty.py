@@ -1,0 +1,247 @@
+"""Whether the truth lies within two standard deviations of the estimate as often as it should."""
+
+import numpy as np
+import pytest
+
+from vsensor_ros import design, Plant
+from vsensor_ros.bank import Bank
+from vsensor_ros.plant import load_plant
+from vsensor_ros.simulate.simulate import readings, simulate
+from vsensor_ros.virtual_sensor import Noise
+
+MS = 1_000_000
+
+
+class Run:
+    """A simulated plant, its noisy sensors and what a bank says of them (times, channels)."""
+
+    def __init__(self, plant, made, rate, seconds, command, *, sigma, truth=None, x0=None,
+                 unknown=None, silent=None, max_age=0.5, seed=0, late=0, lost=0.0):
+        truth, rng = truth or plant, np.random.default_rng(seed)
+        self.t = t = np.arange(round(seconds * rate) + 1) / rate
+        u = np.array([np.atleast_1d(command(at)) for at in t])
+        y = readings(truth, t, simulate(truth, t, u, unknown, x0), u, unknown)
+        said = y + np.asarray(sigma) * rng.standard_normal(y.shape)
+        self.bank = bank = Bank(made, rate, max_age)
+        keys = [(v.fault_set, v.channel) for v in made.virtual_sensors]
+        self.error, self.sigma = np.full((2, len(t), len(keys)), np.nan)
+        self.ready = np.zeros(self.error.shape, dtype=bool)
+        for k, now in enumerate(t):
+            came = max(0, k - late)
+            for name, value in zip(plant.sensors, said[came] if k in (0, came + late) else ()):
+                if (silent is None or name != silent[0] or not silent[1] <= now < silent[2]) \
+                        and rng.random() >= lost:
+                    bank.take(name, came * bank.period, value)
+            for name, value in zip(plant.inputs, u[k]):
+                bank.take(name, k * bank.period, value)
+            bank.advance(k * bank.period)
+            for i, key in enumerate(keys):
+                value = bank.estimate(*key)
+                if value is not None:
+                    self.error[k, i] = value - y[k, plant.sensors.index(key[1])]
+                    self.sigma[k, i] = bank.deviation(*key)
+                    self.ready[k, i] = bank.ready(*key)
+
+    def covered(self, start, end):
+        """Return the share within two sigma, and the median sigma over the rms of the error."""
+        there = (self.t >= start) & (self.t < end)
+        error, sigma = self.error[there], self.sigma[there]
+        assert np.isfinite(error).all() and np.isfinite(sigma).all()
+        rms = np.sqrt(np.mean(error**2, axis=0))
+        return (np.abs(error) <= 2 * sigma).mean(axis=0), np.median(sigma, axis=0) / rms
+
+
+@pytest.fixture(scope='module')
+def servo():
+    plant = load_plant('config/servo/plant.yaml')
+    return plant, design(plant)
+
+
+def drive(t):
+    return 2.0 * np.sin(t)
+
+
+def friction(t):
+    return [0.5 * np.sin(3.0 * t)]
+
+
+def test_the_servo_from_an_unknown_start_to_a_steady_state(servo):
+    run = Run(*servo, 50.0, 60.0, drive, sigma=0.01, unknown=friction, x0=[0.3, 1.0, -0.4])
+    first = run.ready.argmax(axis=0)
+    for i, at in enumerate(first):  # while it converges
+        assert at and (np.abs(run.error[:at, i]) <= 2 * run.sigma[:at, i]).mean() >= 0.9
+    coverage, size = run.covered(45.0, 60.0)
+    assert coverage.min() >= 0.9 and size.max() <= 5.0
+
+
+def test_the_tank_in_its_region():
+    plant = load_plant('config/three_tank/plant.yaml')
+    made = design(plant)
+    # only y1, which converges in seconds: what was measured counts after 30 time constants
+    run = Run(plant, made, 25.0, 80.0, lambda t: [0.5 + 0.3 * np.sin(t / 3), 0.2],
+              sigma=0.01, x0=[2.0, 1.4, 0.7])
+    first = int(run.ready[:, 0].argmax())
+    assert (np.abs(run.error[:first, 0]) <= 2 * run.sigma[:first, 0]).mean() >= 0.9
+    coverage, size = run.covered(60.0, 80.0)
+    assert coverage.min() >= 0.9 and size[0] <= 5.0
+
+
+def noisy_plant(seed):
+    """Make a stable plant of order 4 with 3 noisy sensors, its design, and its moving truth."""
+    rng = np.random.default_rng(100 + seed)
+    A = rng.standard_normal((4, 4))
+    A -= (np.linalg.eigvals(A).real.max() + 0.7) * np.eye(4)
+    B, C = rng.standard_normal((4, 1)), rng.standard_normal((3, 4))
+    plant = Plant.from_matrices(A, B, C, noise=[0.02, 0.03, 0.04], process_noise=[0.05] * 4,
+                                ranges=[[-1.0, 1.0]] * 4)
+    return plant, design(plant), lambda factor=1.0: Plant.from_matrices(factor * A, B, C,
+                                                                        D=np.eye(4))
+
+
+def test_random_linear_plants():
+    """Each in steady state; while they converge, in the mean over their starts."""
+    converging = []
+    for seed in range(4):
+        plant, made, truth = noisy_plant(seed)
+        rng = np.random.default_rng(seed)
+        run = Run(plant, made, 50.0, 30.0, drive, sigma=plant.noise, seed=seed, truth=truth(),
+                  x0=rng.uniform(-1.0, 1.0, 4),
+                  unknown=0.05 * np.sqrt(50.0) * rng.standard_normal((1501, 4)))
+        assert run.error.shape[1] == 3
+        converging.append(run.covered(0.0, 5.0)[0])
+        coverage, size = run.covered(15.0, 30.0)
+        assert coverage.min() >= 0.9 and size.max() <= 5.0
+    assert np.mean(converging) >= 0.9
+
+
+def test_a_model_that_is_wrong_shows_in_the_residuals():
+    plant, made, truth = noisy_plant(1)
+    run = Run(plant, made, 50.0, 40.0, lambda t: 5.0 * drive(t), sigma=plant.noise,
+              truth=truth(1.1))
+    expected = np.array([v.noise.error for v in made.virtual_sensors])
+    wrong = (np.abs(run.error[run.t >= 15.0]) > 2 * expected).mean(axis=0)
+    assert wrong.max() > 0.3  # or there is nothing to show
+    coverage, size = run.covered(15.0, 40.0)
+    assert coverage.min() >= 0.9 and size.max() <= 5.0
+
+
+def test_it_grows_while_a_reading_is_missing_until_there_is_none(servo):
+    plant, made = servo
+    run = Run(plant, made, 50.0, 26.0, drive, sigma=0.01, unknown=friction, max_age=1.0,
+              silent=('y3', 20.0, 25.0), x0=[0.3, 1.0, -0.4])
+    i = [v.channel for v in made.virtual_sensors].index('y2')  # which reads y3
+    before, missing = (run.t >= 15.0) & (run.t < 20.0), (run.t >= 20.2) & (run.t < 20.9)
+    assert (np.abs(run.error[missing, i]) <= 2 * run.sigma[missing, i]).mean() >= 0.9
+    assert np.abs(run.error[missing, i]).max() > 4 * np.median(run.sigma[before, i])
+    assert (np.diff(run.sigma[missing, i]) > 0.0).all()
+    assert run.sigma[missing, i].max() < 5 * np.abs(run.error[missing, i]).max()
+    gone = (run.t >= 21.1) & (run.t < 25.0)
+    assert np.isnan(run.error[gone, i]).all()
+    back = run.t >= 25.02
+    assert not run.ready[back, i][:10].any()
+
+
+def test_readings_that_come_late_or_never(servo):
+    run = Run(*servo, 100.0, 12.0, drive, sigma=0.01, unknown=friction, x0=[0.3, 1.0, -0.4],
+              late=4, lost=0.4)
+    i = [v.channel for v in servo[1].virtual_sensors].index('y2')
+    coverage, size = run.covered(4.0, 12.0)
+    assert coverage[i] >= 0.9 and size[i] <= 5.0
+
+
+@pytest.fixture
+def lag(bench):
+    """Make what stands in for y1 = y2: a lag of 50 ms of it, and its bank."""
+    def build(max_age=0.5, **more):
+        v = bench.virtual_sensor([[-20.0]], [[20.0]], start=np.eye(1), **more)
+        return Bank(bench.design(v), 100, max_age)
+    return build
+
+
+KEY = (('y1',), 'y1')
+
+
+def follow(bank, times, y1, seed=0):
+    rng = np.random.default_rng(seed)
+    for now in times:
+        for name, mean in (('y1', y1), ('y2', 0.0)):
+            bank.take(name, now * MS, mean + 0.1 * rng.standard_normal())
+        bank.advance(now * MS)
+
+
+@pytest.mark.parametrize(('trusted', 'max_age'), [(16_100, 0.5), (40_000, 0.5), (16_100, 0.05)])
+def test_what_a_fault_did_before_its_isolation_does_not_count(lag, trusted, max_age):
+    bank = lag(max_age, noise=Noise(0.05, 0.0, True))
+    assert bank.disagreement(*KEY) is None
+    follow(bank, range(0, 15_000, 10), y1=0.5)
+    known = bank.deviation(*KEY)
+    assert known == pytest.approx(0.5, rel=0.1)  # the model is off by that
+    follow(bank, range(15_100, 16_000, 10), y1=80.0)  # nearly a second of fault
+    bank.distrust({'y1'})
+    follow(bank, range(16_000, trusted, 10), y1=80.0)
+    bank.distrust(())
+    follow(bank, range(trusted, 45_000, 10), y1=0.5)
+    assert bank.deviation(*KEY) == pytest.approx(known, rel=0.1)
+
+
+def test_a_reading_that_is_only_held_is_not_compared(lag):
+    bank = lag(noise=Noise(0.05, 0.0, True))
+    for now in range(0, 40_000, 10):
+        value = np.sin(now / 100)
+        if now % 10_000 < 5000:
+            bank.take('y1', now * MS, value)
+        bank.take('y2', now * MS, value)
+        bank.advance(now * MS)
+        if now == 4990:
+            follows = bank.deviation(*KEY)
+    assert bank.deviation(*KEY) == pytest.approx(follows, rel=0.05)
+
+
+@pytest.mark.parametrize('slope', [0.0, 3.0])
+def test_an_old_reading_counts_by_how_fast_it_moves_not_by_its_noise(lag, slope):
+    bank, rng = lag(1.0, noise=Noise(0.001, 0.0, False)), np.random.default_rng(0)
+    for now in range(0, 15_000, 10):
+        bank.take('y2', now * MS, slope * now / 1e3 + 0.01 * rng.standard_normal())
+        bank.advance(now * MS)
+    for now in range(15_000, 15_510, 10):
+        bank.advance(now * MS)
+    assert bank.deviation(*KEY) == pytest.approx(0.5 * slope, rel=0.05, abs=0.02)
+
+
+def test_an_assumed_figure_counts_until_enough_was_measured(lag):
+    for assumed, expected in ((True, 0.032), (False, 7.0)):
+        bank = lag(noise=Noise(7.0, 0.0, assumed))
+        follow(bank, range(0, 5_000, 10), y1=0.0)
+        assert bank.deviation(*KEY) == pytest.approx(7.0)
+        follow(bank, range(5_000, 20_000, 10), y1=0.0)
+        # 0.1 of white noise through the lag is 0.032; that of y1 itself is told apart
+        assert expected / 2 < bank.deviation(*KEY) < 2 * expected
+
+
+def test_the_disagreement_at_a_switch(lag):
+    bank = lag(noise=Noise(0.2, 0.0, True))
+    follow(bank, range(0, 1000, 10), y1=0.5)
+    bank.take('y1', 1000 * MS, 0.3)
+    bank.take('y2', 1000 * MS, 0.0)
+    bank.advance(1000 * MS)
+    r = 0.3 - bank.estimate(*KEY)
+    assert bank.disagreement(*KEY) == pytest.approx(r, abs=1e-12)  # as the design allows
+    bank.take('y1', 1010 * MS, 50.0)
+    bank.take('y2', 1010 * MS, 0.0)
+    bank.advance(1010 * MS)
+    assert bank.disagreement(*KEY) is None  # a fault, and nothing is known
+    bank = lag(noise=Noise(0.2, 0.0, True))
+    follow(bank, range(0, 15_000, 10), y1=0.5)
+    follow(bank, range(15_000, 15_300, 10), y1=50.0)
+    assert bank.disagreement(*KEY) == pytest.approx(0.5, abs=0.03)  # a fault: the mean
+    bank.take('y1', 15_300 * MS, 0.62)
+    bank.take('y2', 15_300 * MS, 0.0)
+    bank.advance(15_300 * MS)
+    r = 0.62 - bank.estimate(*KEY)
+    bank.distrust({'y1'})
+    assert bank.disagreement(*KEY) == pytest.approx(r, abs=1e-12)  # remembered
+    for now in range(15_310, 18_000, 10):
+        bank.take('y2', now * MS, 0.0)
+        bank.advance(now * MS)
+    assert bank.disagreement(*KEY) == pytest.approx(0.5, abs=0.03)  # long ago
+    assert bank.disagreement(('y2',), 'y2') is None

@@ -1,0 +1,173 @@
+"""How a virtual sensor forgets the start that nobody knew, and how far readings reach into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from vsensor_ros.virtual_sensor import VirtualSensor
+
+_LEFT = 0.01  # of the largest: a start of which no more is left counts as forgotten
+_HORIZON = 50.0  # time constants that are looked at
+_OCTAVES = 20  # of time before the horizon that are looked at, too
+_PHASES = 8  # of half a turn
+_FREQUENCIES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """
+    What is left of an unknown start, as a standard deviation of vhat, over time.
+
+    `left[i]` is the most at or after `times[i]` [s]; it never rises. Where the covariance of the
+    start is not known it is infinite until `warm_up`, and then nothing.
+    """
+
+    warm_up: float  # s; inf: nothing dies out for certain
+    times: np.ndarray  # (T,)
+    left: np.ndarray  # (T,)
+    known: bool  # the covariance of the start
+    proved: bool  # not only at the operating point
+    slowest: float  # s, the largest time constant
+
+    def deviation(self, age: float) -> float:
+        """Return the standard deviation that is left at an age [s]."""
+        if not self.known:
+            return np.inf if age < self.warm_up else 0.0
+        return float(np.interp(age, self.times, self.left))
+
+
+def converge(v: VirtualSensor) -> Convergence:
+    """
+    Work out how a virtual sensor of one row forgets its start.
+
+    A linear error decays as ``Cv exp(N t)``. One that nonlinear terms feed decays at the rate of
+    its certificate, ``|Cv e| <= |Cv S^-1/2| exp(-rate t) |S^1/2 e(0)|`` (method, 3.5), or, where
+    there is none, is taken as linear, which nothing proves.
+
+    It is warm when what is left is, and stays, no more than the noise of the estimate, or a
+    hundredth of its largest value.
+    """
+    c, fed = v.certificate, any(v.Gz[i].any() for i in v.active)
+    proved = not fed or (c is not None and c.status != 'none' and c.rate > 0.0)
+    start = np.eye(v.order) if v.start is None else v.start
+    if not v.order:
+        return Convergence(0.0, np.zeros(1), np.zeros(1), True, True, 0.0)
+    if fed and proved:
+        assert c is not None
+        rate = min(c.rate, 1e12)
+        times = _times(rate, None)[0]
+        reach = float(v.Cv[0] @ np.linalg.pinv(c.S) @ v.Cv[0]) * float(np.trace(c.S @ start))
+        left = np.sqrt(max(reach, 0.0)) * np.exp(-rate * times)
+    else:
+        rate = _slowest_rate(v)
+        if not rate > 0.0:
+            return Convergence(np.inf, np.zeros(1), np.full(1, np.inf), False, False, np.inf)
+        times, rows = _response(v, rate)
+        values, vectors = np.linalg.eigh(start)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        left = np.linalg.norm(rows @ root, axis=2).max(axis=1)
+    left = np.maximum.accumulate(left[::-1])[::-1]
+    noise = 0.0 if v.noise is None or v.start is None else v.noise.error
+    warm_up = _first(times, left, max(noise, _LEFT * left[0]))
+    return Convergence(warm_up, times, left, v.start is not None, proved, 1.0 / rate)
+
+
+def _slowest_rate(v: VirtualSensor) -> float:
+    """Return the rate [1/s] of the slowest mode of N."""
+    modes = np.linalg.eigvals(v.N)
+    if v.sample_time is None:
+        return float(-modes.real.max())
+    return float(-np.log(max(np.abs(modes).max(), 1e-3))) / v.sample_time
+
+
+def _response(v: VirtualSensor, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times [s] (T,), and Cv exp(N t) then and within half a turn of it (T, .., k)."""
+    times, octaves = _times(rate, v.sample_time)
+    one = v.N if v.sample_time is not None else expm(v.N * times[1])
+    return times, _turned(v) @ _powers(one, octaves)
+
+
+def _times(rate: float, sample_time: float | None) -> tuple[np.ndarray, int]:
+    """Return times [s] that grow by an eighth to a sixteenth each, and their octaves after 7."""
+    octaves, unit = _OCTAVES, _HORIZON / rate / 16 / 2**_OCTAVES
+    if sample_time is not None:
+        octaves, unit = int(max(0.0, np.ceil(np.log2(unit * 2**_OCTAVES / sample_time)))), \
+            sample_time
+    steps = [np.arange(8.0), *(np.arange(8.0, 16.0) * 2.0**i for i in range(octaves + 1))]
+    return np.concatenate(steps) * unit, octaves
+
+
+def _powers(one: np.ndarray, octaves: int) -> np.ndarray:
+    """Return the powers 0..7, then 8..15 and so many octaves more, of a matrix (k, k)."""
+    powers = [np.eye(len(one))]
+    for _ in range(15):
+        powers.append(powers[-1] @ one)
+    found, octave = [np.array(powers)], np.array(powers[8:])
+    for _ in range(octaves):
+        octave = octave @ octave
+        found.append(octave)
+    return np.concatenate(found)
+
+
+def _turned(v: VirtualSensor) -> np.ndarray:
+    """
+    Return Cv, and what it becomes within half a turn of each swinging mode (.., k).
+
+    Of what swings faster than one looks, one is sure to see the peaks, too.
+    """
+    modes = np.linalg.eigvals(v.N)
+    speeds = np.abs(modes.imag if v.sample_time is None else np.angle(modes))
+    shifts = np.unique([0.0, *(part * np.pi / speed for speed in speeds[speeds > 0.0]
+                               for part in np.arange(1, _PHASES) / _PHASES)])
+    if v.sample_time is None:
+        return np.asarray(v.Cv[0] @ expm(v.N * shifts[:, None, None]))
+    steps = np.unique(np.round(np.minimum(shifts, 1e9)).astype(int))
+    return np.array([v.Cv[0] @ np.linalg.matrix_power(v.N, step) for step in steps])
+
+
+def _first(times: np.ndarray, left: np.ndarray, enough: float) -> float:
+    """Return the first time at which what is left, on straight lines, is enough."""
+    below = np.flatnonzero(left <= enough)
+    if not below.size:
+        return float('inf')
+    i = int(below[0])
+    if i == 0:
+        return 0.0
+    part = (left[i - 1] - enough) / (left[i - 1] - left[i])
+    return float(times[i - 1] + part * (times[i] - times[i - 1]))
+
+
+def reading_gains(v: VirtualSensor) -> np.ndarray:
+    """Return the peak over frequency of ``|Cv (s - N)^-1 J_j + Q_j|`` for each reading (l0,)."""
+    direct = np.abs(v.Q[0])
+    if not v.order or not len(v.healthy):
+        return direct
+    modes = np.abs(np.linalg.eigvals(v.N))
+    if v.sample_time is None:
+        known = modes[modes > 0.0]
+        low, high = (known.min(), known.max()) if known.size else (1.0, 1.0)
+        s = 1j * np.concatenate([[0.0], known, np.geomspace(low / 30, high * 30, _FREQUENCIES)])
+    else:
+        direct = np.zeros_like(direct)
+        s = np.exp(1j * np.concatenate([np.linspace(0.0, np.pi, _FREQUENCIES),
+                                        np.geomspace(1e-6, np.pi, _FREQUENCIES)]))
+    try:
+        left = np.linalg.solve((s[:, None, None] * np.eye(v.order) - v.N).swapaxes(1, 2),
+                               np.broadcast_to(v.Cv[0][:, None], (len(s), v.order, 1)))[..., 0]
+    except np.linalg.LinAlgError:  # a mode that never dies out
+        return np.where(v.J.any(axis=0), np.inf, direct)
+    return np.maximum(direct, np.abs(left @ v.J + v.Q[0]).max(axis=0))
+
+
+def reading_pushes(v: VirtualSensor) -> np.ndarray:
+    """Return the peak over time of ``|Cv exp(N t) J_j|`` [1/s] for each reading (l0,)."""
+    if not v.order or not len(v.healthy):
+        return np.zeros(len(v.healthy))
+    rate = _slowest_rate(v)
+    if not rate > 0.0:
+        return np.where(v.J.any(axis=0), np.inf, 0.0)
+    peak = np.abs(_response(v, rate)[1] @ v.J).max(axis=(0, 1))
+    return np.asarray(peak if v.sample_time is None else peak / v.sample_time)

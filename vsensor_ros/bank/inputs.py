@@ -1,0 +1,175 @@
+"""What every sensor and command has said so far, and which of them is believed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import math
+
+import numpy as np
+
+from vsensor_ros.bank.readings import Samples, Seen
+from vsensor_ros.bank.step import NOTHING
+
+LARGEST = 1e100  # a number beyond it is as good as infinite
+ISOLATED = 'isolated'
+_AHEAD = 'stamp ahead of the clock'
+
+
+class Inputs:
+    """
+    Samples of L sensors and m commands, all times in ns.
+
+    `ages`: the max_age of each sensor. `Cu` (L, m): what is taken out of a reading, None: nothing.
+    `held`: whether somebody asks for the commands that hold at a time.
+    """
+
+    def __init__(self, ages: Mapping[str, int], commands: Sequence[str], Cu: np.ndarray | None,
+                 held: bool) -> None:
+        self.ages, self.commands, self._wants_held = ages, commands, held
+        self.oldest = max(ages.values(), default=0)
+        self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
+        self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
+        self.distrusted: frozenset[str] = frozenset()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but who is distrusted."""
+        self.samples = samples = {name: Samples() for name in (*self.ages, *self.commands)}
+        seen: list[Seen] = [[(float(gain), samples[name])
+                             for gain, name in zip(row, self.commands) if gain]
+                            for row in self._Cu]
+        self._readings = [(samples[name], age, gains)
+                          for (name, age), gains in zip(self.ages.items(), seen)]
+        self._held = [samples[name] for name in self.commands]
+        # by command: the readings that see it directly
+        self._seers = {name: [r[0] for r, gain in zip(self._readings, column) if gain]
+                       for name, column in zip(self.commands, self._Cu.T)}
+        self._heard: dict[str, int] = {}  # by sensor: its last stamp, isolated or not
+        # by sensor: readings up to this stamp are not believed
+        self._floors: dict[str, float] = dict.fromkeys(self.distrusted, math.inf)
+
+    def take(self, name: str, stamp: int, value: float, latest: float) -> int | str:
+        """
+        Accept a sample whose stamp is at most its max_age after the latest time.
+
+        Return the first time at which something has a new value, or why it was not accepted.
+        """
+        samples = self.samples[name]
+        age = self.ages.get(name)
+        if not -LARGEST < value < LARGEST:
+            return 'not finite'
+        if stamp > latest + (age or self.oldest):
+            return _AHEAD
+        if self._floors and stamp <= self._floors.get(name, -math.inf):
+            self._heard[name] = max(stamp, self._heard.get(name, stamp))
+            return ISOLATED
+        last = samples.stamps[-1] if samples.stamps else None
+        reason = samples.add(stamp, value, age is None)
+        if reason is not None:
+            return reason
+        if age is None:  # a command; later readings that see it are cleaned anew
+            return min([stamp, *(reading.before(stamp) + 1 for reading in self._seers[name]
+                                 if reading.stamps and reading.stamps[-1] >= stamp)])
+        self._heard[name] = stamp
+        if self._floors:
+            self._floors.pop(name, None)
+        return stamp if last is None or stamp - last > age else last + 1
+
+    def drop_ahead(self, now: int) -> Iterator[tuple[str, str]]:
+        """Forget what lies ahead of the clock after all; tell of which channel, and why."""
+        for name, samples in self.samples.items():
+            while samples.stamps and samples.stamps[-1] > now + self.ages.get(name, self.oldest):
+                samples.stamps.pop()
+                samples.values.pop()
+                self._heard.pop(name, None)
+                yield name, _AHEAD
+
+    def distrust(self, names: Collection[str], now: int | None) -> None:
+        """Believe only readings of these sensors that come after they are trusted again."""
+        for name in self.distrusted.difference(names):
+            self._floors[name] = -math.inf if now is None else now
+        for name in set(names) - self.distrusted:
+            self._floors[name] = math.inf
+            self.samples[name].clear()
+        self.distrusted = frozenset(names)
+
+    def silent(self, name: str, now: int, began: int | None) -> bool:
+        """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
+        last = self._heard.get(name, began)
+        return last is not None and now - last > self.ages[name]
+
+    def confirmed(self, time: int, without: Iterable[str]) -> bool:
+        """Tell whether every sensor that is not silent, nor named, has said what it is then."""
+        return all(stamps[-1] >= time or time - stamps[-1] > age
+                   for name, age in self.ages.items()
+                   if name not in without and (stamps := self.samples[name].stamps))
+
+    def missing(self, needs: np.ndarray, now: int | None) -> str | None:
+        """Return in words which of these (L + m,) bool is not there; None when all are."""
+        for (name, samples), needed in zip(self.samples.items(), needs):
+            if not needed:
+                continue
+            if name in self.distrusted:
+                return f'{name} is isolated'
+            if not samples.stamps:
+                return f'no {"reading" if name in self.ages else "command"} of {name} yet'
+            age = 0 if now is None else now - samples.stamps[-1]
+            if age > self.ages.get(name, math.inf):
+                return f'{name} silent for {age * 1e-9:.1f} s'
+        return None
+
+    def oldest_stamp(self, default: int) -> int:
+        """Return the stamp of the oldest sample that is kept."""
+        return min((s.stamps[0] for s in self.samples.values() if s.stamps), default=default)
+
+    def last_stamps(self) -> list[int | None]:
+        """Return the last stamp of each sensor."""
+        return [samples.stamps[-1] if samples.stamps else None for samples, _, _ in self._readings]
+
+    def at(self, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return the readings at a time (L,), 0 where there is none, and what is there (L + m,) bool.
+
+        And the commands that hold from then on (m,), or (0,) when nobody asks for them.
+        """
+        y = [samples.interpolated(time, age, seen) for samples, age, seen in self._readings]
+        held = [samples.held(time) for samples in self._held]
+        there: np.ndarray = self.everything
+        if None in y or None in held:
+            there = np.array([v is not None for v in (*y, *held)], dtype=bool)
+            y, held = [v or 0.0 for v in y], [v or 0.0 for v in held]
+        return np.array(y, dtype=float), there, (
+            np.array(held, dtype=float) if self._wants_held else NOTHING)
+
+    def over(self, start: int, end: int) -> np.ndarray:
+        """Return the commands at the start and at the end of a step, and their means (3, m)."""
+        commands = [samples.over(start, end) for samples in self._held]
+        return np.array(commands, dtype=float).reshape(-1, 3).T
+
+    def ages_at(self, time: int) -> np.ndarray:
+        """Return how old [s] the last reading of each sensor is (L,); 0 where there is none."""
+        return np.array([max(0, time - samples.stamps[-1]) * 1e-9 if samples.stamps else 0.0
+                         for samples, _, _ in self._readings])
+
+    def forget(self, before: int) -> None:
+        """Drop what nothing at or after this time depends on."""
+        for samples, _, _ in self._readings:
+            samples.forget(before)
+        for samples in self._held:  # the readings from before have seen them
+            samples.forget(before - self.oldest)
+
+
+def ages_of(sensors: tuple[str, ...], max_age: float | Mapping[str, float],
+            least: int) -> dict[str, int]:
+    """
+    Return the max_age of each sensor in ns, at least so many; 0.5 s for those not named.
+
+    Raises ValueError, one line, when a name or a time is none.
+    """
+    given = max_age if isinstance(max_age, Mapping) else dict.fromkeys(sensors, max_age)
+    for name, age in given.items():
+        if name not in sensors:
+            raise ValueError(f'max_age: {name} is no sensor; name one of {", ".join(sensors)}')
+        if not age > 0.0:
+            raise ValueError(f'max_age: {age} is not a time in s; give a number above 0')
+    return {name: max(round(min(given.get(name, 0.5), 1e9) * 1e9), least) for name in sensors}
