@@ -1,12 +1,24 @@
 import math
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Pose, PoseArray
+from geometry_msgs.msg import Pose, PoseArray, TwistWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import BatteryState, Imu, JointState, MultiDOFJointState, Range
+from sensor_msgs.msg import (
+    BatteryState,
+    FluidPressure,
+    Illuminance,
+    Imu,
+    JointState,
+    MagneticField,
+    MultiDOFJointState,
+    NavSatFix,
+    Range,
+    RelativeHumidity,
+    Temperature,
+)
 from std_msgs.msg import Float64, Float64MultiArray, Int8, Int32MultiArray, UInt16
 
 from vsensor_ros.bad_input import BadInput
@@ -41,6 +53,14 @@ def _pose(x):
     (BatteryState(voltage=12.5, cell_voltage=[4.0]), 'cell_voltage[0]', 4.0),
     (PoseArray(poses=[_pose(1.0), _pose(2.0)]), 'poses[1].position.x', 2.0),
     (UInt16(data=7), 'data', 7.0),
+    (TwistWithCovarianceStamped(), 'twist.twist.linear.y', 0.0),
+    (FluidPressure(fluid_pressure=1e5), 'fluid_pressure', 1e5),
+    (Temperature(temperature=21.5), 'temperature', 21.5),
+    (RelativeHumidity(relative_humidity=0.5), 'relative_humidity', 0.5),
+    (Illuminance(illuminance=300.0), 'illuminance', 300.0),
+    (MagneticField(), 'magnetic_field.z', 0.0),
+    (NavSatFix(latitude=-33.9), 'latitude', -33.9),
+    (WrenchStamped(), 'wrench.torque.x', 0.0),
 ])
 def test_reads_and_writes_what_it_reads(message, path, value):
     accessor = compile_accessor(type(message), path)
@@ -62,6 +82,8 @@ def test_a_joint_is_found_wherever_it_stands():
     for names in (['elbow', 'shoulder'], ['shoulder', 'elbow'], ['a', 'b', 'elbow'], ['elbow']):
         positions = [5.0 if name == 'elbow' else 0.0 for name in names]
         assert accessor.get(JointState(name=names, position=positions)) == 5.0
+    twice = JointState(name=['elbow', 'a', 'elbow'], position=[1.0, 2.0, 3.0])
+    assert accessor.get(twice) == 1.0
 
 
 @pytest.mark.parametrize('kind, path, message, reason, absent', [

@@ -8,13 +8,13 @@ makes room for what is missing where it can: a failed driver may leave its eleme
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 import difflib
 import importlib
 import math
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from ament_index_python.resources import get_resource, get_resources, InvalidResourceNameError
 
@@ -24,6 +24,7 @@ INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's me
 NAME_ARRAYS = ('name', 'joint_names')  # fields that give names to the arrays beside them
 LONGEST = 2**16  # elements of an array that a message is made room for; an index lies below
 LARGEST_FLOAT = {'float': 3.4028234663852886e38, 'double': math.inf}
+NOT_THERE, TOO_SHORT = '{} is not in the message', 'the array is too short for {}'
 
 _TYPE = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
 _STEP = re.compile(r'([A-Za-z][A-Za-z0-9_]*)(?:\[([^\[\]]+)\])?')  # field, field[element]
@@ -31,9 +32,9 @@ _PATH = re.compile(rf'(?:{_STEP.pattern})(?:\.(?:{_STEP.pattern}))*')
 _INTEGER = re.compile(r'(u?)int(8|16|32|64)')
 _SEQUENCE = re.compile(r'sequence<(.+?)(?:, (\d+))?>')
 _ARRAY = re.compile(r'(.+)\[(\d+)\]')
-_ANY = 2**63  # the size of an array that has no fixed one
 
-Parent = Callable[[Any], Any]  # message -> the object that holds the field, None when missing
+Holder = Callable[[Any], Any]  # message -> the object that has the field, None when missing
+Index = Callable[[Any], int]  # that object -> the index of the element, -1 when not there
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,29 @@ class Accessor:
     path: str  # as configured
     get: Callable[[Any], float | str]  # the number, or the reason why there is none
     put: Callable[[Any, float], str | None]  # None when written, or the reason why it was not
+    fit: Callable[[float], float | int | str]  # what the field would hold, or why it cannot
     absent: Callable[[Any], bool]  # lacks the name of it; may be sound all the same
     names: Callable[[Any], Collection[str]]  # those among which its name is, or should be
+
+
+class FieldType(NamedTuple):
+    """The type of a field, taken apart."""
+
+    inner: str  # of the elements, when it is an array
+    is_array: bool
+    is_sequence: bool  # an array whose length is said in each message
+    size: int | None  # of an array, or the most a sequence may have; None: any
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a path: a field, and an element of it when it is an array."""
+
+    kind: Any  # the message class that has the field
+    field: str
+    type: FieldType
+    element: str | None  # as configured: an index or a name
+    names: str | None  # the field that has the names, when the element is found by its name
 
 
 def message_type(name: str, where: str = 'message type', key: str = 'type') -> Any:
@@ -96,9 +118,23 @@ def put_stamp(message: Any, stamp: int) -> None:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
-def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'field') -> Accessor:
+def field_type(text: str) -> FieldType:
+    """Take a type apart as ``get_fields_and_field_types`` writes it."""
+    if match := _SEQUENCE.fullmatch(text):
+        return FieldType(match[1], True, True, int(match[2]) if match[2] else None)
+    if match := _ARRAY.fullmatch(text):
+        return FieldType(match[1], True, False, int(match[2]))
+    return FieldType(text, False, False, None)
+
+
+def inner_type(inner: str, where: str = 'message type', key: str = 'type') -> Any:
+    """Return the message class of a field whose type is itself a message. Raises BadInput."""
+    return message_type(inner.replace('/', '/msg/'), where, key)
+
+
+def trace(kind: Any, path: str, where: str = 'field', key: str = 'field') -> tuple[Step, ...]:
     """
-    Compile a dotted field of a message class into a getter and a setter.
+    Follow a dotted field of a message class down to a number.
 
     ``a.b`` goes into a field, ``data[2]`` into an array, ``position[elbow]`` into the array whose
     elements the field ``name`` (or ``joint_names``) beside it names. Raises BadInput, listing the
@@ -107,215 +143,180 @@ def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'fie
     if _PATH.fullmatch(path) is None:
         raise BadInput(where, key, f'{path!r:.80} is not a field',
                        'write it like range, pose.position.x, data[2] or position[elbow]')
-    steps = [step.groups() for step in _STEP.finditer(path)]
-    parent: Parent = _itself
-    absent: Callable[[Any], bool] = _never
-    names: Callable[[Any], Collection[str]] = _none
-    for depth, (field, element) in enumerate(steps):
-        fields = kind.get_fields_and_field_types()
-        if field not in fields:
-            raise BadInput(where, key, f'{_name(kind)} has no field {field}',
-                           f'its fields are {", ".join(fields)}')
-        inner = fields[field]
-        array = _SEQUENCE.fullmatch(inner) or _ARRAY.fullmatch(inner)
-        if array is not None and element is None:
+    steps: list[Step] = []
+    for field, element in (step.groups() for step in _STEP.finditer(path)):
+        if steps:
+            inner = steps[-1].type.inner
+            if '/' not in inner:
+                before = steps[-1].field
+                raise BadInput(where, key, f'{before} of {_name(kind)} is a {inner}, which has '
+                               'no fields', f'end the field at {before}')
+            kind = inner_type(inner, where, key)
+        steps.append(_step(kind, field, element, where, key))
+    inner = steps[-1].type.inner
+    if inner not in LARGEST_FLOAT and not _INTEGER.fullmatch(inner):
+        raise BadInput(where, key, f'{path} is a {inner}, not a number',
+                       f'name a field below {path}' if '/' in inner else 'name a numeric field')
+    return tuple(steps)
+
+
+def _step(kind: Any, field: str, element: str | None, where: str, key: str) -> Step:
+    fields = kind.get_fields_and_field_types()
+    if field not in fields:
+        raise BadInput(where, key, f'{_name(kind)} has no field {field}',
+                       f'its fields are {", ".join(fields)}')
+    split = field_type(fields[field])
+    names = next((name for name in NAME_ARRAYS if fields.get(name) == 'sequence<string>'), None)
+    if element is None:
+        if split.is_array:
             raise BadInput(where, key, f'{field} of {_name(kind)} is an array',
-                           f'say which element: {field}[0]' + (
-                               f', or {field}[a name]' if _name_array(fields) else ''))
-        if array is None and element is not None:
-            raise BadInput(where, key, f'{field} of {_name(kind)} is not an array',
-                           'leave out the brackets')
-        index: _Index | None = None
-        if array is not None:
-            inner, size = array.groups()
-            index, beside = _compile_index(
-                kind, fields, field, element, int(size or _ANY), where, key)
-            if beside is not None:
-                absent, names = _absence(absent, parent, index), _names(parent, beside)
-        if depth == len(steps) - 1:
-            room = None
-            if array is not None and array.re is _SEQUENCE and inner in LARGEST_FLOAT:
-                room = _Room(fields, field, element, beside)
-            return _leaf(path, parent, field, index, inner, room, absent, names, where, key)
-        if '/' not in inner:
-            raise BadInput(where, key, f'{field} of {_name(kind)} is a {inner}, which has no '
-                           'fields', f'end the field at {field}')
-        parent = _descend(parent, field, index)
-        kind = message_type(inner.replace('/', '/msg/'), where, key)
-    raise AssertionError('unreachable: the last step returns')
-
-
-_Index = Callable[[Any], int]  # the object that holds the array -> the index, -1 when not there
-
-
-def _itself(message: Any) -> Any:
-    return message
-
-
-def _never(message: Any) -> bool:
-    return False
-
-
-def _none(message: Any) -> Collection[str]:
-    return ()
-
-
-def _names(parent: Parent, field: str) -> Callable[[Any], Collection[str]]:
-    def names(message: Any) -> Collection[str]:
-        holder = parent(message)
-        return () if holder is None else getattr(holder, field)
-    return names
-
-
-def _absence(before: Callable[[Any], bool], parent: Parent,
-             index: _Index) -> Callable[[Any], bool]:
-    def absent(message: Any) -> bool:
-        holder = parent(message)
-        return before(message) or (holder is not None and index(holder) < 0)
-    return absent
+                           f'say which element: {field}[0]' +
+                           (f', or {field}[a name]' if names else ''))
+        return Step(kind, field, split, None, None)
+    if not split.is_array:
+        raise BadInput(where, key, f'{field} of {_name(kind)} is not an array',
+                       'leave out the brackets')
+    if not re.fullmatch(r'-?[0-9]+', element):
+        if names is None:
+            raise BadInput(where, key, f'the elements of {field} of {_name(kind)} have no names',
+                           f'give an index from 0: {field}[0]')
+        return Step(kind, field, split, element, names)
+    index = int(element[:20])
+    size = LONGEST if split.size is None else min(split.size, LONGEST)
+    if not 0 <= index < size:
+        raise BadInput(where, key, f'{field} of {_name(kind)} has no element {element:.20}',
+                       f'its indices are 0 to {size - 1}' if index >= 0 else 'indices begin at 0')
+    return Step(kind, field, split, element, None)
 
 
 def _name(kind: Any) -> str:
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
 
-def _name_array(fields: dict[str, str]) -> str | None:
-    return next((name for name in NAME_ARRAYS if fields.get(name) == 'sequence<string>'), None)
+def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'field') -> Accessor:
+    """Compile a dotted field of a message class (see `trace`). Raises BadInput."""
+    steps = trace(kind, path, where, key)
+    named = [(compile_holder(steps[:depth]), _compile_index(step), step.names)
+             for depth, step in enumerate(steps) if step.names is not None]
+
+    def absent(message: Any) -> bool:
+        return any((holder := find(message)) is not None and index(holder) < 0
+                   for find, index, _ in named)
+
+    def names(message: Any) -> Collection[str]:
+        for find, _, field in reversed(named):
+            holder = find(message)
+            return () if holder is None else getattr(holder, field)
+        return ()
+
+    get, put, fit = _leaf(path, steps)
+    return Accessor(path, get, put, fit, absent, names)
 
 
-def _compile_index(kind: Any, fields: dict[str, str], field: str, element: str, size: int,
-                   where: str, key: str) -> tuple[_Index, str | None]:
-    """Return the function that finds the element, and the field of names if it does by name."""
-    if re.fullmatch(r'-?[0-9]+', element):
-        index = int(element[:20])
-        size = min(size, LONGEST)
-        if not 0 <= index < size:
-            raise BadInput(where, key, f'{field} of {_name(kind)} has no element {element:.20}',
-                           f'its indices are 0 to {size - 1}' if index >= 0 else
-                           'indices begin at 0')
-        return lambda holder: index, None
-    names_field = _name_array(fields)
-    if names_field is None:
-        raise BadInput(where, key, f'the elements of {field} of {_name(kind)} have no names',
-                       f'give an index from 0: {field}[0]')
-    last = 0
+def compile_holder(steps: Sequence[Step]) -> Holder:
+    """Return what finds the object that these steps lead to, from the message."""
+    ways = [(step.field, None if step.element is None else _compile_index(step))
+            for step in steps]
+
+    def find(message: Any) -> Any:
+        for field, index in ways:
+            value = getattr(message, field)
+            if index is not None:
+                i = index(message)
+                if not 0 <= i < len(value):
+                    return None
+                value = value[i]
+            message = value
+        return message
+    return find
+
+
+def _compile_index(step: Step) -> Index:
+    element, field = step.element, step.names
+    assert element is not None
+    if field is None:
+        number = int(element)
+        return lambda holder: number
 
     def find(holder: Any) -> int:
-        nonlocal last  # names keep their places, mostly
-        names = getattr(holder, names_field)
-        if last < len(names) and names[last] == element:
-            return last
         try:
-            last = names.index(element)
+            return getattr(holder, field).index(element)
         except ValueError:
             return -1
-        return last
-
-    return find, names_field
+    return find
 
 
-def _descend(parent: Parent, field: str, index: _Index | None) -> Parent:
-    if index is None:
-        def inside(message: Any) -> Any:
-            holder = parent(message)
-            return None if holder is None else getattr(holder, field)
-        return inside
-
-    def element(message: Any) -> Any:
-        holder = parent(message)
-        if holder is None:
-            return None
-        i = index(holder)
+def _make_room(holder: Any, step: Step) -> int:
+    """Lengthen the array with NaN, and those beside it when a name is added; return where."""
+    assert step.element is not None
+    grown = [step.field]
+    if step.names is None:
+        index = int(step.element)
+    else:
+        names = getattr(holder, step.names)
+        if step.element not in names:
+            names.append(step.element)
+            grown += [field for field, text in holder.get_fields_and_field_types().items()
+                      if (split := field_type(text)).is_sequence and split.inner in LARGEST_FLOAT
+                      and len(getattr(holder, field))]  # an empty one means: not known
+        index = names.index(step.element)
+    for field in grown:
         array = getattr(holder, field)
-        return array[i] if 0 <= i < len(array) else None
-    return element
+        array.extend([math.nan] * (index + 1 - len(array)))
+    return index
 
 
-@dataclass(frozen=True)
-class _Room:
-    """How to make room for one element of an array of floats."""
+def _leaf(path: str, steps: Sequence[Step]) -> tuple[
+        Callable[[Any], float | str], Callable[[Any, float], str | None],
+        Callable[[float], float | int | str]]:
+    """Return get, put and fit of the field at the end of a path."""
+    find, last = compile_holder(steps[:-1]), steps[-1]
+    field = last.field
+    index = None if last.element is None else _compile_index(last)
+    growing = last.type.is_sequence and last.type.inner in LARGEST_FLOAT
+    missing, too_short = NOT_THERE.format(path), TOO_SHORT.format(path)
+    convert = _conversion(last.type.inner)
 
-    fields: dict[str, str]
-    field: str
-    element: str
-    names: str | None  # the field of names, when the element is found by its name
-
-    def make(self, holder: Any) -> int:
-        """Lengthen the array with NaN, and those beside it when a name is added; return where."""
-        if self.names is None:
-            index = int(self.element)
-            grown = [self.field]
-        else:
-            names = getattr(holder, self.names)
-            if self.element not in names:
-                names.append(self.element)
-                grown = [f for f, kind in self.fields.items()  # an empty one means: not known
-                         if f != self.field and (m := _SEQUENCE.fullmatch(kind))
-                         and m[1] in LARGEST_FLOAT and len(getattr(holder, f))]
-            else:
-                grown = []
-            index = names.index(self.element)
-            grown.append(self.field)
-        for field in grown:
-            array = getattr(holder, field)
-            array.extend([math.nan] * (index + 1 - len(array)))
-        return index
-
-
-def _leaf(path: str, parent: Parent, field: str, index: _Index | None, kind: str,
-          room: _Room | None, absent: Callable[[Any], bool],
-          names: Callable[[Any], Collection[str]], where: str, key: str) -> Accessor:
-    convert = _conversion(kind)
-    if convert is None:
-        raise BadInput(where, key, f'{path} is a {kind}, not a number',
-                       f'name a field below {path}' if '/' in kind else 'name a numeric field')
-    missing = f'{path} is not in the message'
-
-    if index is None:
-        def get(message: Any) -> float | str:
-            holder = parent(message)
-            return missing if holder is None else float(getattr(holder, field))
-
-        def put(message: Any, value: float) -> str | None:
-            holder = parent(message)
-            if holder is None:
-                return missing
-            converted = convert(value)
-            if converted is None:
-                return f'{value:g} does not fit into {path} ({kind})'
-            setattr(holder, field, converted)
-            return None
-        return Accessor(path, get, put, absent, names)
-
-    too_short = f'the array is too short for {path}'
-
-    def get_element(message: Any) -> float | str:
-        holder = parent(message)
-        i = -1 if holder is None else index(holder)
+    def get(message: Any) -> float | str:
+        holder = find(message)
+        if holder is None:
+            return missing
+        value = getattr(holder, field)
+        if index is None:
+            return float(value)
+        i = index(holder)
         if i < 0:
             return missing
-        array = getattr(holder, field)
-        return float(array[i]) if i < len(array) else too_short
+        return float(value[i]) if i < len(value) else too_short
 
-    def put_element(message: Any, value: float) -> str | None:
-        holder = parent(message)
+    def fit(value: float) -> float | int | str:
+        fitted = convert(value)
+        return f'{value:g} does not fit into {path} ({last.type.inner})' if fitted is None \
+            else fitted
+
+    def put(message: Any, value: float) -> str | None:
+        holder = find(message)
         if holder is None:
             return missing
-        converted = convert(value)
-        if converted is None:
-            return f'{value:g} does not fit into {path} ({kind})'
+        fitted = fit(value)
+        if isinstance(fitted, str):
+            return fitted
+        if index is None:
+            setattr(holder, field, fitted)
+            return None
         i = index(holder)
         if not 0 <= i < len(getattr(holder, field)):
-            if room is None:
+            if not growing:
                 return missing if i < 0 else too_short
-            i = room.make(holder)
-        getattr(holder, field)[i] = converted
+            i = _make_room(holder, last)
+        getattr(holder, field)[i] = fitted
         return None
-    return Accessor(path, get_element, put_element, absent, names)
+
+    return get, put, fit
 
 
-def _conversion(kind: str) -> Callable[[float], float | int | None] | None:
-    """Return what turns a float into the field's type (None: does not fit); None if no number."""
+def _conversion(kind: str) -> Callable[[float], float | int | None]:
+    """Return what turns a float into a number of the field's type (None: it does not fit)."""
     if kind in LARGEST_FLOAT:
         largest = LARGEST_FLOAT[kind]
 
@@ -324,8 +325,7 @@ def _conversion(kind: str) -> Callable[[float], float | int | None] | None:
             return None if largest < abs(value) < math.inf else value  # what was read passes
         return to_float
     match = _INTEGER.fullmatch(kind)
-    if match is None:
-        return None
+    assert match is not None, 'trace lets numbers pass only'
     unsigned, bits = bool(match[1]), int(match[2])
     low = 0 if unsigned else -2**(bits - 1)
     high = 2**bits - 1 if unsigned else 2**(bits - 1) - 1
