@@ -1,28 +1,47 @@
-import os
+from dataclasses import replace
 
 import pytest
 from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from vsensor_ros.node.parameters import check_addressed, check_files, read, Refused
-from vsensor_ros.node.replacer import make_node, Replacer
+from vsensor_ros.bank import Policy
+from vsensor_ros.node.known import Refused
+from vsensor_ros.node.parameter_file import check_addressed
+from vsensor_ros.node.parameters import read
+from vsensor_ros.node.replacer import Replacer
+from vsensor_ros.virtual_sensor import Design
+
+
+@pytest.fixture(scope='module')
+def parameters(parameters):
+    """Give what must be given only."""
+    return {name: value for name, value in parameters.items()
+            if name not in ('time_constant', 'recovery.dwell')}
+
+
+@pytest.fixture(scope='module')
+def context():
+    context = Context()
+    context.init()
+    yield context
+    context.shutdown()
 
 
 @pytest.fixture
-def start():
+def start(context):
     """Return a function that makes the node with these parameters."""
-    context = Context()
-    context.init()
     nodes = []
 
     def make(parameters):
-        nodes.append(make_node(
-            context, [Parameter(name, value=value) for name, value in parameters.items()]))
+        nodes.append(Node(
+            'replacer', context=context, automatically_declare_parameters_from_overrides=True,
+            parameter_overrides=[
+                Parameter(name, value=value) for name, value in parameters.items()]))
         return nodes[-1]
     yield make
     for node in nodes:
         node.destroy_node()
-    context.shutdown()
 
 
 def problems(node):
@@ -35,22 +54,36 @@ def problems(node):
 
 def test_what_was_given_and_the_defaults(start, parameters):
     settings = read(start({**parameters, 'rate': 50, 'sensors.y2.input': '/driver/y2'}))
-    assert settings.rate == 50.0 and settings.without_estimate == 'stop'
+    assert settings.rate == 50.0 and settings.autostart
+    assert settings.max_age == dict.fromkeys(('y1', 'y2', 'y3'), 0.5)
+    assert settings.jump_ahead == 1.0
     assert [(s.name, s.input, s.output) for s in settings.sensors] == [
         ('y1', '/y1_raw', '/y1'), ('y2', '/driver/y2', '/y2'), ('y3', '/y3_raw', '/y3')]
     assert [(c.name, c.topic) for c in settings.commands] == [('u1', '/u1')]
     assert settings.isolation_topic == '/isolation'
+    live = settings.live
+    assert (live.without_estimate, live.time_constant) == ('stop', 0.5)
+    assert live.policies == dict.fromkeys(('y1', 'y2', 'y3'), Policy('automatic', 2.0, False))
+    assert live.max_deviation == dict.fromkeys(('y1', 'y2', 'y3'), 0.0)
 
 
-def test_parameters_are_described_and_fixed(start, parameters):
-    node = start(parameters)
-    read(node)
-    for name in ('rate', 'sensors.y1.field', 'sensors.y1.input', 'isolation.type', 'max_age'):
-        descriptor = node.describe_parameter(name)
-        assert descriptor.description and descriptor.read_only
-    assert node.describe_parameter('rate').floating_point_range[0].to_value == 1000.0
-    assert not node.set_parameters([Parameter('rate', value=5.0)])[0].successful
-    assert node.get_parameter('rate').value == 100.0
+def test_one_sensor_may_have_its_own(start, parameters):
+    settings = read(start({
+        **parameters, 'recovery.policy': 'hold', 'recovery.dwell': 5, 'silent_sensor': 'replace',
+        'max_deviation': 0.1, 'max_age': 1, 'autostart': False, 'sensors.y1.recovery': 'latched',
+        'sensors.y1.dwell': 0, 'sensors.y2.silent': 'wait', 'sensors.y2.max_deviation': 0.0,
+        'sensors.y3.max_age': 4.0, 'sensors.y3.dwell': '', 'sensors.y3.recovery': ''}))
+    assert settings.live.policies == {
+        'y1': Policy('latched', 0.0, True), 'y2': Policy('hold', 5.0, False),
+        'y3': Policy('hold', 5.0, True)}
+    assert settings.live.max_deviation == {'y1': 0.1, 'y2': 0.0, 'y3': 0.1}
+    assert settings.max_age == {'y1': 1.0, 'y2': 1.0, 'y3': 4.0}
+    assert not settings.autostart
+
+
+def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
+    assert read(start({**parameters, 'rate': 2.0})).jump_ahead == 5.0
+    assert read(start({**parameters, 'rate': 2.0, 'max_jump': 7.0})).jump_ahead == 7.0
 
 
 @pytest.mark.parametrize('changes, told', [
@@ -91,6 +124,25 @@ def test_parameters_are_described_and_fixed(start, parameters):
     ({'use_sim_time': 'yep'}, "use_sim_time: 'yep' is neither true nor false"),
     ({'design_file': '/dev/null'}, '/dev/null: design file: is not a regular file'),
     ({'design_file': '/no/such/file'}, '/no/such/file: design file: cannot be read'),
+    ({'autostart': 'yes'}, "autostart: 'yes' is not true or false; give"),
+    ({'autostart': 1}, 'autostart: 1 is not true or false'),
+    ({'max_jump': 0.0}, 'max_jump: 0 is out of range; choose from 0.001 to 86400'),
+    ({'max_age': float('inf')}, 'max_age: inf is out of range'),
+    ({'time_constant': -1.0}, 'time_constant: -1 is out of range; choose from 0 to 3600'),
+    ({'max_deviation': -1.0}, 'max_deviation: -1 is out of range'),
+    ({'recovery.policy': 'auto'}, "recovery.policy: 'auto' is not a choice; choose from automat"),
+    ({'recovery.dwell': ''}, "recovery.dwell: '' is not a number; give"),
+    ({'recovery': 'hold'}, 'recovery: there is no such parameter; did you mean recovery.'),
+    ({'sensors.y1.dwell': -1}, 'sensors.y1.dwell: -1 is out of range; choose from 0 to 86400'),
+    ({'sensors.y1.dwell': float('nan')}, 'sensors.y1.dwell: nan is out of range'),
+    ({'sensors.y1.dwell': True}, 'sensors.y1.dwell: True is not a number; give'),
+    ({'sensors.y1.silent': 'ignore'}, 'choose from wait, replace'),
+    ({'sensors.y1.max_age': 0}, 'sensors.y1.max_age: 0 is out of range'),
+    ({'commands.u1.max_age': 1.0}, 'commands.u1.max_age: there is no such parameter'),
+    ({'isolation.topic': '~/status'}, '/replacer/status is what this node says'),
+    ({'sensors.y1.topic': '/replacer/estimates'}, 'but /replacer/estimates carries'),
+    ({'sensors.y1.input': '/' + 'y' * 247}, 'like /tank/level2, with at most 247 characters'),
+    ({'sensors.y1.field': 'range' * 1000}, 'sensors.y1.field: has 5000 characters; at most 4096'),
 ])
 def test_refusals(start, parameters, changes, told):
     given = {name: value for name, value in {**parameters, **changes}.items() if value is not None}
@@ -106,66 +158,41 @@ def test_all_problems_are_listed(start, parameters):
     assert len(problems(start(given))) == 6
 
 
+def test_the_longest_topic_can_be_opened(start, parameters):
+    topic = '/' + 'y' * 246
+    node = start({**parameters, 'sensors.y1.input': topic, 'isolation.topic': topic[:-1]})
+    settings = read(node)
+    assert settings.sensors[0].input == topic
+    node.create_subscription(settings.sensors[0].kind, topic, lambda message: None, 1)
+
+
+def test_of_a_thousand_wrong_names_some_are_listed(start, parameters):
+    lines = problems(start({**parameters, **{f'a{i}': i for i in range(1000)}}))
+    assert len(lines) == 11
+    assert lines[-1] == '/replacer: and 990 more parameters that there are not; leave them out'
+
+
+@pytest.mark.parametrize('sensors, inputs, told', [
+    (tuple(f'y{i}' for i in range(600)), tuple(f'u{i}' for i in range(401)),
+     'plant: has 1001 sensors and commands; at most 1000 are served'),
+    (('y1', 'y' * 101), (), 'is a name of 101 characters; choose one of at most 100'),
+])
+def test_designs_beyond_reason(start, tmp_path, sensors, inputs, told):
+    Design('big', '0' * 64, ('x',), inputs, sensors, {}, None, {}).save(tmp_path / 'big.json')
+    line, = problems(start({'design_file': str(tmp_path / 'big.json')}))
+    assert told in line
+
+
 def test_a_rate_that_does_not_suit_a_discrete_design(start, parameters, plan, tmp_path):
-    from dataclasses import replace
     entries = {key: replace(entry, sample_time=0.02, N=0.5 * entry.N**2,
                             eigenvalues=0.5 * entry.eigenvalues**2)
                if hasattr(entry, 'N') else entry for key, entry in plan.entries.items()}
     replace(plan, sample_time=0.02, entries=entries).save(tmp_path / 'discrete.json')
     given = {**parameters, 'design_file': str(tmp_path / 'discrete.json')}
+    node = start(given)
     with pytest.raises(Refused) as raised:
-        Replacer(start(given))
+        Replacer(node, read(node))
     assert 'rate: 100 Hz does not suit' in str(raised.value)
-
-
-@pytest.mark.parametrize('text, told', [
-    ('replacer: {ros__parameters: {rate: 1.0, rate: 2.0}}', 'ros__parameters.rate: stands there '
-     'twice'),
-    ('a:\n  ros__parameters:\n    sensors:\n      y1: {topic: /a}\n      y1: {topic: /b}\n',
-     'sensors.y1: stands there twice (line 5)'),
-    ('replacer: {ros__parameters: {rate: }}', 'rate: has no value'),
-    ('replacer: {ros__parameters: {rate: []}}', 'rate: has no value'),
-    ('replacer: [', 'is not YAML'),
-    ('', 'has no value'),
-    ('a: {ros__parameters: {isolation: {topic: /x}, isolation.topic: /y}}', 'isolation.topic: '
-     'stands there twice'),
-    ('a: {ros__parameters: {isolation.topic: /y, isolation: {type: b, topic: /x}}}',
-     'isolation.topic: stands there twice'),
-    ('a: {ros__parameters: {isolation.topic: /x, isolation: {type: b}}}', ''),
-    ('a: {ros__parameters: {b: &x {c: 1}, d: *x}}', 'd: is an alias'),
-    ('a: {ros__parameters: {b: &x 1, d: *x}}', 'd: is an alias'),
-    ('a: &x {b: *x}\n', 'a.b: is an alias'),
-    ('a: {ros__parameters: {b: [1.0, x]}}', 'b: is a list of other things'),
-    ('a: {ros__parameters: {b: [[1], [2]]}}', 'b: is a list of other things'),
-    ('a: {ros__parameters: {b: [1, 2]}}', ''),
-    ('a: {ros__parameters: {? [b, c] : 1}}', 'has a key that is no name'),
-    ('replacer: {rate: 1.0, max_age: 2.0}', 'replacer.rate: does not stand below ros__parameters'),
-    ('- 1\n- 2\n', 'parameter file: does not stand below ros__parameters'),
-    ('replacer', 'parameter file: does not stand below ros__parameters'),
-    ('robot: {replacer: {ros__parameters: {rate: 1.0}}}', ''),
-])
-def test_parameter_files(tmp_path, text, told):
-    path = tmp_path / 'replacer.yaml'
-    path.write_text(text)
-    if not told:
-        assert len(check_files(['--params-file', str(path)])) == 1
-        return
-    with pytest.raises(Refused) as raised:
-        check_files(['--ros-args', '--params-file', str(path)])
-    assert told in str(raised.value) and str(raised.value).count('\n') == 0
-
-
-def test_a_parameter_file_that_is_not_there(tmp_path):
-    with pytest.raises(Refused, match='cannot be read'):
-        check_files(['--params-file', str(tmp_path / 'no.yaml')])
-    with pytest.raises(Refused, match='not a regular file'):
-        check_files(['--params-file', '/dev/null'])
-    os.mkfifo(tmp_path / 'pipe')
-    with pytest.raises(Refused, match='not a regular file'):
-        check_files(['--params-file', str(tmp_path / 'pipe')])
-    with pytest.raises(Refused, match='not a text file'):
-        (tmp_path / 'bytes').write_bytes(b'\xff\xfe\x00')
-        check_files(['--params-file', str(tmp_path / 'bytes')])
 
 
 def test_a_parameter_file_for_another_node(start, parameters):
@@ -183,6 +210,7 @@ def test_what_the_graph_refuses_is_one_line(start, parameters, monkeypatch):
         raise RuntimeError('no room for a topic, at /publisher.c:1, at /topic.cpp:2')
     monkeypatch.setattr('vsensor_ros.node.replacer.open_streams', fail)
     with pytest.raises(Refused) as raised:
-        Replacer(start(parameters))
+        node = start(parameters)
+        Replacer(node, read(node))
     assert str(raised.value) == '/replacer: topics: no room for a topic; give the topics other ' \
         'names'

@@ -1,0 +1,165 @@
+"""The topics that the parameters name, and whether they go together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.node import Node
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
+from vsensor_ros.node.known import DIAGNOSTICS
+from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, STATUS
+from vsensor_ros.virtual_sensor import Design
+
+LONGEST_TOPIC = 247  # characters; rmw takes no more
+ROS_TOPICS = {'/rosout': 'rcl_interfaces/msg/Log',
+              '/parameter_events': 'rcl_interfaces/msg/ParameterEvent'}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Where a sensor's readings come from and where its channel goes out."""
+
+    name: str
+    input: str  # resolved topic of the driver
+    output: str  # resolved topic that the others listen to
+    type: str
+    kind: Any  # the message class
+    accessor: Accessor
+
+
+@dataclass(frozen=True)
+class Command:
+    """Where a plant input's commands are heard."""
+
+    name: str
+    topic: str
+    type: str
+    kind: Any
+    accessor: Accessor
+
+
+@dataclass(frozen=True)
+class Endpoints:
+    """All topics that parameters name, but those that were not understood."""
+
+    sensors: tuple[Sensor, ...]
+    commands: tuple[Command, ...]
+    isolation: str | None
+
+    def ends(self, node: Node) -> list[tuple[str, str]]:
+        """Return each resolved topic with what the node opens on it."""
+        topics = [*((s.input, 'subscription') for s in self.sensors),
+                  *((s.output, 'publisher') for s in self.sensors),
+                  *((c.topic, 'subscription') for c in self.commands),
+                  *((node.resolve_topic_name(topic), 'publisher')
+                    for topic in (DIAGNOSTICS_TOPIC, STATUS, ESTIMATES))]
+        if self.isolation is not None:
+            topics.append((self.isolation, 'subscription'))
+        return list(dict.fromkeys(topics))
+
+
+def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node, where: str,
+                   sim_time: bool, problems: list[BadInput]) -> Endpoints:
+    """Resolve the topics that the values name; append a problem for each that will not do."""
+    def resolve(topic: str | None, key: str) -> str | None:
+        return None if topic is None else _resolve(node, topic, where, key, problems)
+
+    sensors, commands = [], []
+    for name in design.sensors if design else ():
+        prefix = f'sensors.{name}'
+        field = _field(values, prefix, where, problems)
+        topic = values.get(f'{prefix}.topic')
+        output = resolve(topic, f'{prefix}.topic')
+        source = resolve(values.get(f'{prefix}.input') or (f'{topic}_raw' if output else None),
+                         f'{prefix}.input')
+        if source is not None and source == output:
+            problems.append(BadInput(where, f'{prefix}.input', f'{source} is also the output',
+                                     'remap the driver, to the topic + _raw say'))
+        elif field is not None and source is not None and output is not None:
+            sensors.append(Sensor(name, source, output, *field))
+    for name in design.inputs if design else ():
+        prefix = f'commands.{name}'
+        field = _field(values, prefix, where, problems)
+        topic = resolve(values.get(f'{prefix}.topic'), f'{prefix}.topic')
+        if field is not None and topic is not None:
+            commands.append(Command(name, topic, *field))
+    isolation = resolve(values.get('isolation.topic'), 'isolation.topic')
+    if isolation in (own := [node.resolve_topic_name(topic) for topic in (STATUS, ESTIMATES)]):
+        problems.append(BadInput(where, 'isolation.topic', f'{isolation} is what this node says',
+                                 'name the topic of whoever finds the faults'))
+    problems.extend(_crossed(sensors, where))
+    reserved = {**ROS_TOPICS, **dict.fromkeys([DIAGNOSTICS_TOPIC, *own], DIAGNOSTICS),
+                **({'/clock': 'rosgraph_msgs/msg/Clock'} if sim_time else {})}
+    found = Endpoints(tuple(sensors), tuple(commands), isolation)
+    problems.extend(_two_types(found, values.get('isolation.type'), where, reserved))
+    return found
+
+
+def _resolve(node: Node, topic: str, where: str, key: str,
+             problems: list[BadInput]) -> str | None:
+    try:
+        return str(node.resolve_topic_name(topic))
+    except (InvalidTopicNameException, RuntimeError, ValueError):
+        mend = 'write it like /tank/level2'
+        if len(topic) > LONGEST_TOPIC:
+            mend += f', with at most {LONGEST_TOPIC} characters'
+        problems.append(BadInput(where, key, f'{topic!r:.80} is not a topic name', mend))
+        return None
+
+
+def _field(values: Mapping[str, Any], prefix: str, where: str,
+           problems: list[BadInput]) -> tuple[str, Any, Accessor] | None:
+    kind_name, path = values.get(f'{prefix}.type'), values.get(f'{prefix}.field')
+    if kind_name is None:
+        return None
+    try:
+        kind = message_type(kind_name, where, f'{prefix}.type')
+        if path is None:
+            return None
+        return kind_name, kind, compile_accessor(kind, path, where, f'{prefix}.field')
+    except BadInput as problem:
+        problems.append(problem)
+        return None
+
+
+def _crossed(sensors: Sequence[Sensor], where: str) -> list[BadInput]:
+    """Find pairs of sensors whose topics do not go together. Sharing both topics is right."""
+    problems = []
+    for i, a in enumerate(sensors):
+        for b in sensors[:i]:
+            key = f'sensors.{a.name}'
+            if a.input == b.output or a.output == b.input:
+                problems.append(BadInput(
+                    where, f'{key}.topic', f'the output of one of {b.name}, {a.name} is the '
+                    'input of the other', 'give each its own topics'))
+            elif (a.input == b.input) != (a.output == b.output):
+                problems.append(BadInput(
+                    where, f'{key}.topic', f'shares one topic with {b.name} but not the other',
+                    'sensors in one message share input and output'))
+            elif a.input == b.input and a.accessor.path == b.accessor.path:
+                problems.append(BadInput(where, f'{key}.field', f'is that of {b.name} too',
+                                         'give each sensor its own field'))
+    return problems
+
+
+def _two_types(found: Endpoints, isolation_type: str | None, where: str,
+               reserved: Mapping[str, str]) -> list[BadInput]:
+    """Find topics that were given with two types; the first one counts."""
+    types: dict[str | None, tuple[str, str | None]] = {
+        topic: ('ROS', kind) for topic, kind in reserved.items()}
+    problems = []
+    for topic, kind, key in (
+            *((s.input, s.type, f'sensors.{s.name}.type') for s in found.sensors),
+            *((s.output, s.type, f'sensors.{s.name}.type') for s in found.sensors),
+            *((c.topic, c.type, f'commands.{c.name}.type') for c in found.commands),
+            (found.isolation, isolation_type, 'isolation.type')):
+        first_key, first = types.setdefault(topic, (key, kind))
+        if kind != first and key != first_key:
+            problems.append(BadInput(where, key, f'is {kind}, but {topic} carries {first} '
+                                     f'according to {first_key}', 'a topic has one type'))
+    return problems

@@ -1,0 +1,151 @@
+"""The parameters there are: their types, defaults, ranges and meanings, and a value checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.virtual_sensor import Design
+
+WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
+RECOVERY = ('automatic', 'hold', 'latched')
+SILENT = ('wait', 'replace')
+DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
+TEXT = 'std_msgs/msg/String'
+LONGEST_TEXT = 4096  # characters of a value
+
+
+class Refused(ValueError):
+    """Parameters that the replacer cannot start with: one line each problem."""
+
+    def __init__(self, problems: Sequence[BadInput]) -> None:
+        super().__init__('\n'.join(str(problem) for problem in problems))
+        self.problems = tuple(problems)
+
+
+@dataclass(frozen=True)
+class Known:
+    """One parameter there is. A value of '' stands for `general`, where there is one."""
+
+    type: type
+    default: Any  # None: must be given
+    description: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    live: bool = False  # may change while the node runs
+    general: str = ''  # the parameter for all sensors that this one overrides
+
+    def check(self, value: Any, where: object, name: str) -> Any:
+        """Return the value in its type; raise BadInput when it cannot be used."""
+        if self.general and value == '':
+            return value
+        if self.type is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)  # `rate: 100` is as good as 100.0
+        give = f'give the {self.description}' + (
+            ", or '' for that of all sensors" if self.general else '')
+        if value is None:
+            raise BadInput(where, name, 'is missing', give)
+        if not isinstance(value, self.type) or (self.type is int and isinstance(value, bool)):
+            raise BadInput(where, name, f'{value!r:.80} is not {_TYPES[self.type]}', give)
+        if isinstance(value, (float, int)) and not self.low <= value <= self.high:
+            raise BadInput(where, name, f'{value:g} is out of range',
+                           f'choose from {self.low:g} to {self.high:g}')
+        if self.choices and value not in self.choices:
+            raise BadInput(where, name, f'{shown(value, 80)} is not a choice',
+                           f'choose from {", ".join(self.choices)}')
+        if value == '' != self.default:
+            raise BadInput(where, name, 'is empty', give)
+        if isinstance(value, str) and len(value) > LONGEST_TEXT:
+            raise BadInput(where, name, f'has {len(value)} characters',
+                           f'at most {LONGEST_TEXT} are read')
+        return value
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Describe the parameter to the tools of ROS."""
+        unit = f' [{self.unit}]' if self.unit else ''
+        rules = [f'one of {", ".join(self.choices)}'] if self.choices else []
+        rules += [f"'' for {self.general}"] if self.general else []
+        descriptor = ParameterDescriptor(
+            description=f'{self.description}{unit}', read_only=not self.live,
+            additional_constraints='; '.join(rules),
+            dynamic_typing=bool(self.general) and self.type is not str)
+        if self.type is float:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=self.low, to_value=self.high)]
+        if self.type is int:
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+        return descriptor
+
+
+_TYPES = {str: 'a text', float: 'a number', int: 'a whole number', bool: 'true or false'}
+
+GENERAL: Mapping[str, Known] = {
+    'design_file': Known(str, None, 'design file, written by the designer'),
+    'rate': Known(float, 100.0, 'rate of the virtual sensors', 'Hz', 0.001, 1000.0),
+    'autostart': Known(bool, True, 'configure and activate without a lifecycle manager'),
+    'max_age': Known(float, 0.5, 'age from which a reading is silence; at least three periods '
+                     'count', 's', 0.001, 86400.0),
+    'max_jump': Known(float, 1.0, 'jump of the clock ahead from which the virtual sensors start '
+                      'anew; at least ten periods count', 's', 0.001, 86400.0),
+    'isolation.topic': Known(str, '/isolation', 'topic that says which sensors are faulty'),
+    'isolation.type': Known(str, DIAGNOSTICS, 'message type of the isolation topic',
+                            choices=(DIAGNOSTICS, TEXT)),
+    'without_estimate': Known(
+        str, 'stop', 'what goes out for a failed sensor that no virtual sensor replaces: '
+        'stop (nothing), hold (the last value), nan, pass (the failed reading)',
+        choices=WITHOUT_ESTIMATE, live=True),
+    'time_constant': Known(
+        float, 0.5, 'time constant with which the offset at a switch decays; 0 disables it, so '
+        'that the output steps', 's', 0.0, 3600.0, live=True),
+    'recovery.policy': Known(
+        str, 'automatic', 'when a sensor reported healthy is believed again: automatic (after '
+        'the dwell), hold (when cleared by service after the dwell), latched (after a reset)',
+        choices=RECOVERY, live=True),
+    'recovery.dwell': Known(
+        float, 2.0, 'time without interruption that a sensor must be reported healthy before it '
+        'is believed, and the least time in virtual; 0 disables it', 's', 0.0, 86400.0, live=True),
+    'silent_sensor': Known(
+        str, 'wait', 'what becomes of a sensor that is silent for its max_age: wait (nothing '
+        'goes out), replace (it counts as faulty)', choices=SILENT, live=True),
+    'max_deviation': Known(
+        float, 0.0, 'standard deviation beyond which an estimate is not valid; 0 disables the '
+        'limit', 'of the channel', 0.0, 1e12, live=True),
+}
+
+# for each of them: what one sensor may have of its own
+OVERRIDES: Mapping[str, str] = {
+    'recovery': 'recovery.policy',
+    'dwell': 'recovery.dwell',
+    'silent': 'silent_sensor',
+    'max_deviation': 'max_deviation',
+    'max_age': 'max_age',
+}
+
+
+def named(design: Design) -> dict[str, Known]:
+    """Return the parameters that each sensor and each command of a design has."""
+    known: dict[str, Known] = {}
+    for prefix, name in (*(('sensors', s) for s in design.sensors),
+                         *(('commands', u) for u in design.inputs)):
+        use = 'goes out' if prefix == 'sensors' else 'is commanded'
+        known[f'{prefix}.{name}.topic'] = Known(str, None, f'topic on which {name} {use}')
+        known[f'{prefix}.{name}.type'] = Known(str, None, f'message type of {name}')
+        known[f'{prefix}.{name}.field'] = Known(str, None, f'field of the message that is {name}')
+        if prefix == 'commands':
+            continue
+        known[f'sensors.{name}.input'] = Known(
+            str, '', f'topic on which the driver of {name} publishes; default: the topic + _raw')
+        for key, general in OVERRIDES.items():
+            entry = GENERAL[general]
+            known[f'sensors.{name}.{key}'] = Known(
+                entry.type, '', f'{general} of {name} alone', entry.unit, entry.low, entry.high,
+                entry.choices, entry.live, general)
+    return known
