@@ -13,16 +13,19 @@ from statistics import median
 import sys
 import time
 
-from benchmark import bank, designer, estimators, healthy_path, isolation
+from benchmark import bank, designer, estimators, healthy_path, isolation, jitter, memory
 from benchmark.load import KINDS, Load
 from benchmark.rig import set_up
 from benchmark.row import Row
 from vsensor_ros.command.failover import Failed
 from vsensor_ros.command.interrupt import interrupt_once
 
-SECONDS = 6.0  # of each process in the middle, each round
-ROUNDS = 5
+SECONDS = 3.0  # of each process in the middle, each round
+ROUNDS = 3
 ISOLATIONS = 40
+TICKING = 6.0  # s, each round
+TICKING_ROUNDS = 2
+IDLE = 2, 20.0  # topics, Hz
 TICKS = 1000
 PARTS = ('replacer', 'bank', 'estimators', 'designer')
 
@@ -62,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         'machine': {'cores': os.cpu_count(), 'system': platform.platform(),
                     'python': platform.python_version(),
                     'threads': os.environ.get('OPENBLAS_NUM_THREADS')},
-        'rows': [{**asdict(row), 'ratio': row.ratio, 'missed': row.missed} for row in rows],
+        'rows': [{**asdict(row), 'ratio': row.ratio if row.peer else None,
+                  'missed': row.missed} for row in rows],
         **details,
     }, indent=1) + '\n', encoding='utf-8')
     return 1 if missed else 0
@@ -75,19 +79,42 @@ def measure(load: Load, only: Collection[str], states: Sequence[int],
     details: dict[str, object] = {}
     ticks = bank.measure(TICKS, progress=progress) if 'bank' in only else []
     if 'replacer' in only:
-        with set_up(load) as rig:
-            legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
-            latencies = isolation.measure(rig, ISOLATIONS, progress)
-        relay_latency = 1e-6 * median(leg.p50 for leg in legs['relay'])
-        rows += [*healthy_path.rows(legs, load), *isolation.rows(latencies, relay_latency)]
-        details = {'legs': {name: [asdict(leg) for leg in of] for name, of in legs.items()},
-                   'isolation_s': latencies}
+        replacer(load.message, rows, details)
     rows += ticks
     if 'estimators' in only:
         rows += estimators.measure(progress)
     if 'designer' in only:
         rows += designer.measure(states, progress)
     return rows, details
+
+
+def replacer(message: str, rows: list[Row], details: dict[str, object]) -> None:
+    """Measure the node beside its peers; add to rows and details."""
+    even: list[Row] = []
+    for topics, rate, bars in healthy_path.LOADS:
+        load = Load(message, topics, rate)
+        progress(f'set-up of {topics} topics x {rate:g} Hz')
+        with set_up(load) as rig:
+            legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
+            rows += healthy_path.rows(legs, load, bars)
+            details[f'legs, {topics} x {rate:g} Hz'] = {
+                name: [asdict(leg) for leg in of] for name, of in legs.items()}
+            if topics == healthy_path.LOADS[0][0]:
+                latencies = isolation.measure(rig, ISOLATIONS, progress)
+                passing = 1e-6 * median(leg.p50 for leg in legs['relay'])
+                details['isolation_s'] = latencies
+                ours, peer = jitter.measure(rig, TICKING, TICKING_ROUNDS, True, progress)
+                even = jitter.rows(ours, peer, rig.rate, f'{topics} topics x {rate:g} Hz and one '
+                                   'core kept busy')
+    rows += isolation.rows(latencies, passing)
+    with set_up(Load(message, *IDLE)) as rig:
+        ours, peer = jitter.measure(rig, TICKING, TICKING_ROUNDS, False, progress)
+        rows += jitter.rows(ours, peer, rig.rate, f'idle: {IDLE[0]} topics x {IDLE[1]:g} Hz')
+    rows += even
+    with set_up(Load(message, *IDLE), memory.RATE) as rig:
+        grown = memory.measure(rig, memory.TICKS, progress)
+        details['memory'] = [asdict(growth) for growth in grown]
+        rows += memory.rows(*grown)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -98,7 +125,9 @@ def table(rows: Sequence[Row]) -> str:
         if row.group != group:
             group = row.group
             lines += ['', group, f'{"ours":>42}{"peer":>9}{"ratio":>15}']
-        bar = '' if row.bar is None else f'   <= {row.bar:g} {"MISSED" if row.missed else "held"}'
+        bar = '' if row.bar is None else f'   <= {row.bar:g}'
+        bar += '' if row.most is None else f'   ours <= {row.most:g} {row.unit}'.rstrip()
+        bar += f' {"MISSED" if row.missed else "held"}' if bar else ''
         lines.append(f'  {row.what:<32}{figure(row.ours):>8} {figure(row.peer):>8} {row.unit:<5}'
                      f'{row.ratio:>9.2f}{bar}')
     return '\n'.join(lines[1:])

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
+import time
 
 import numpy as np
 
-from benchmark.load import Load
+from benchmark.load import COUNTED, Load
 from benchmark.rig import Heard, Process, Rig
 from benchmark.row import Row
 from vsensor_ros.command.failover import Failed
 
-CPU_BAR = 0.5
+
+@dataclass(frozen=True)
+class Bars:
+    """How much at most: times the relay's, or in itself."""
+
+    cpu: float | None = None
+    p50: float | None = None
+    core: float | None = None  # %
+    lost: float | None = None  # messages
+
+
+EDGE = 0.5  # s
+LOADS = ((10, 100.0, Bars(cpu=0.25, p50=1.5)),  # topics, Hz
+         (1, 1000.0, Bars(cpu=0.5)),
+         (50, 100.0, Bars(core=60.0, lost=0)))
 
 
 @dataclass(frozen=True)
@@ -23,7 +38,10 @@ class Leg:
     cpu: float  # us a message
     p50: float  # us, latency
     p99: float
-    arrived: float  # part of the messages sent
+    core: float  # % of one
+    arrived: int  # messages
+    lost: int
+    rate: float  # messages a second that the drivers managed
 
 
 def measure(rig: Rig, seconds: float, rounds: int,
@@ -40,9 +58,9 @@ def measure(rig: Rig, seconds: float, rounds: int,
 
 def _leg(rig: Rig, process: Process, seconds: float) -> Leg:
     rig.take()
-    before = process.cpu()
+    before, began = process.cpu(), time.monotonic()
     heard: list[Heard] = rig.listen(seconds)
-    used = process.cpu() - before
+    used, lasted = process.cpu() - before, time.monotonic() - began
     if not heard:
         raise Failed(f'{process.name} passed nothing on')
     latency = np.array([h.received - h.stamp for h in heard]) * 1e-3
@@ -50,23 +68,52 @@ def _leg(rig: Rig, process: Process, seconds: float) -> Leg:
         raise Failed('messages came in before they were sent: the clock was set meanwhile, or '
                      'this middleware does not stamp receptions')
     p50, p99 = np.percentile(latency, [50, 99])
-    sent = rig.load.topics * rig.load.rate * seconds
-    return Leg(used / len(heard) * 1e6, float(p50), float(p99), len(heard) / sent)
+    missing = lost([h for h in heard if h.topic < rig.load.topics], rig.load)
+    return Leg(used / len(heard) * 1e6, float(p50), float(p99), 100.0 * used / lasted,
+               len(heard), missing, (len(heard) + missing) / lasted)
 
 
-def rows(legs: dict[str, list[Leg]], load: Load) -> list[Row]:
-    """Compare medians over the rounds."""
-    group = (f'healthy path, {load.topics} topics x {load.rate:g} Hz of {load.message}; '
+def lost(heard: Sequence[Heard], load: Load) -> int:
+    """
+    Return how many messages are missing.
+
+    All topics are counted alike, so one that falls silent is known by the others; EDGE seconds
+    at either end may be on their way.
+    """
+    counts: dict[int, set[int]] = {topic: set() for topic in range(load.topics)}
+    for h in heard:
+        since = h.stamp - heard[0].stamp  # half of what is counted, either way
+        counts[h.topic].add((since + COUNTED // 2) % COUNTED - COUNTED // 2)
+    first, last = min(map(min, filter(None, counts.values()))), \
+        max(map(max, filter(None, counts.values())))
+    edge = EDGE * load.rate
+    missing = 0
+    for count in counts.values():
+        begin, end = (min(count), max(count)) if count else (last + 1, last)
+        begin = begin if begin - first <= edge else first
+        end = end if last - end <= edge else last
+        missing += end - begin + 1 - len(count)
+    return missing
+
+
+def rows(legs: dict[str, list[Leg]], load: Load, bars: Bars) -> list[Row]:
+    """Compare medians over the rounds, and the sums of what was lost."""
+    group = (f'healthy path, {load.topics} topic{"s" * (load.topics > 1)} x {load.rate:g} Hz of '
+             f'{load.message}, {load.topics} virtual sensor{"s" * (load.topics > 1)}; '
              'peer: bare typed rclpy relay')
 
-    def middle(name: str, what: str) -> float:
-        return median(getattr(leg, what) for leg in legs[name])
+    ours, peer = (legs[name] for name in ('replacer', 'relay'))
 
-    def row(label: str, unit: str, what: str, factor: float, bar: float | None = None) -> Row:
-        return Row(group, label, unit, factor * middle('replacer', what),
-                   factor * middle('relay', what), bar)
+    def row(label: str, unit: str, what: str, factor: float = 1.0, bar: float | None = None,
+            most: float | None = None) -> Row:
+        middle = [factor * median(getattr(leg, what) for leg in of) for of in (ours, peer)]
+        return Row(group, label, unit, middle[0], middle[1], bar, most)
 
-    return [row('CPU per message', 'us', 'cpu', 1.0, CPU_BAR),
-            row('latency p50', 'ms', 'p50', 1e-3),
+    sent = sum(leg.arrived + leg.lost for leg in ours)
+    return [row('CPU per message', 'us', 'cpu', bar=bars.cpu),
+            row('latency p50', 'ms', 'p50', 1e-3, bars.p50),
             row('latency p99', 'ms', 'p99', 1e-3),
-            row('messages that arrived', '%', 'arrived', 100.0)]
+            row('of one core', '%', 'core', most=bars.core),
+            row('messages sent a second', '1/s', 'rate'),
+            Row(group, f'messages lost of {sent}', '', float(sum(leg.lost for leg in ours)),
+                float(sum(leg.lost for leg in peer)), most=bars.lost)]

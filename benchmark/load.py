@@ -3,6 +3,7 @@ The messages that pass through the relay and the replacer, and the process that 
 
 A driver's message carries its stamp twice: in the header, and as a mark in its last field, which
 nobody on the way touches. So a listener knows a replaced message by a stamp that is not the mark.
+The last digits of the stamp (16 us) count the messages of a topic, so that it sees which are lost.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from std_msgs.msg import Float64
 
 JOINTS = 30
 COMMAND_TOPIC = '/benchmark/u1'
+TIMER_TOPIC = '/benchmark/timer'
 COMMAND_RATE = 20.0  # Hz
+COUNTED = 2**14  # messages of a topic, then the count begins anew
 STAMP = struct.Struct('<iI')  # after the four bytes that begin every serialized message
 MARKS = {'JointState': struct.Struct('<d'), 'Range': struct.Struct('<f')}  # effort[29], variance
 KINDS = {'JointState': JointState, 'Range': Range}
@@ -62,8 +65,8 @@ class Load:
         """Read back what `text` wrote."""
         return cls(text[0], int(text[1]), float(text[2]))
 
-    def template(self, reading: float) -> bytearray:
-        """Return a serialized message with this reading."""
+    def message_of(self, reading: float) -> Any:
+        """Return a message with this reading."""
         if self.message == 'Range':
             message = Range(range=reading, max_range=100.0)
         else:
@@ -71,11 +74,16 @@ class Load:
                 name=[f'joint_{j}' for j in range(JOINTS)], position=[reading] * JOINTS,
                 velocity=[0.0] * JOINTS, effort=[0.0] * JOINTS)
         message.header.frame_id = 'base'
-        return bytearray(serialize_message(message))
+        return message
 
-    def sign(self, message: bytearray, stamp: int) -> None:
-        """Write the stamp [ns] and its mark into a serialized message."""
+    def template(self, reading: float) -> bytearray:
+        """Return a serialized message with this reading."""
+        return bytearray(serialize_message(self.message_of(reading)))
+
+    def sign(self, message: bytearray, stamp: int, count: int) -> None:
+        """Write the stamp [ns] with the count, and its mark, into a serialized message."""
         mark = MARKS[self.message]
+        stamp += count % COUNTED - stamp % COUNTED
         STAMP.pack_into(message, 4, *divmod(stamp, 10**9))
         mark.pack_into(message, len(message) - mark.size, stamp % 2**24)
 
@@ -101,7 +109,7 @@ def publish(load: Load, stop: Callable[[], bool]) -> None:
     commanded = due
     while not stop():
         publisher, message = streams[count % load.topics]
-        load.sign(message, time.time_ns())
+        load.sign(message, time.time_ns(), count // load.topics)
         publisher.publish(bytes(message))
         if due >= commanded:
             command.publish(Float64(data=1.0))

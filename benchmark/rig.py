@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, ExitStack
 import ctypes
 from dataclasses import dataclass
+from functools import cache
 import os
 from pathlib import Path
 import signal
@@ -26,13 +27,15 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from benchmark.load import COMMAND_TOPIC, Load
+from benchmark.load import COMMAND_TOPIC, Load, TIMER_TOPIC
 from vsensor_ros import design, Plant
 from vsensor_ros.command.failover import Failed, reserved_domain
+from vsensor_ros.virtual_sensor import Design
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 0.01  # s, of the virtual sensors
 READY_WITHIN = 30.0  # s
+SPEED = 40.0  # 1/s, of the tanks: such that their virtual sensors are warm after SETTLE
 SETTLE = 1.0  # s between the first messages and the first that counts
 ISOLATION_TOPIC = '/benchmark/isolation'
 
@@ -44,6 +47,7 @@ class Heard(NamedTuple):
 
     topic: int
     stamp: int  # ns
+    sent: int  # ns, by the process in the middle, as its middleware says
     received: int  # ns
     replaced: bool
 
@@ -55,6 +59,7 @@ class Process:
     name: str
     popen: subprocess.Popen[bytes]
     log: Path
+    ends: bool = False  # by itself, as it should
 
     def cpu(self) -> float:
         """Return the CPU time that all its threads have used [s]."""
@@ -62,7 +67,7 @@ class Process:
 
     def check(self) -> None:
         """Raise Failed if it has ended."""
-        if self.popen.poll() is not None:
+        if self.popen.poll() is not None and not self.ends:
             said = self.log.read_text(errors='replace').strip().splitlines()
             raise Failed(f'{self.name} ended with {self.popen.returncode}: '
                          f'{said[-1] if said else "it said nothing"}')
@@ -71,12 +76,13 @@ class Process:
 class Rig:
     """Drivers that publish all the time, a listener, and room for one process in between."""
 
-    def __init__(self, load: Load, node: Node, work: Path, domain: int) -> None:
-        self.load, self.work, self.domain = load, work, domain
+    def __init__(self, load: Load, rate: float, node: Node, work: Path, domain: int) -> None:
+        self.load, self.rate, self.work, self.domain = load, rate, work, domain
+        self.apart: list[int] = []  # sensors of which none's virtual sensor reads another
         self.processes: list[Process] = []
         self._outputs = [node.create_subscription(
             load.kind, topic, _ignore, QoSProfile(depth=1000), raw=True)
-            for topic in load.outputs]
+            for topic in (*load.outputs, TIMER_TOPIC)]
         self._isolation = node.create_publisher(DiagnosticArray, ISOLATION_TOPIC, 10)
 
     def relay(self) -> _Running:
@@ -90,7 +96,16 @@ class Rig:
             str(self.work / 'replacer.yaml')])
 
     @contextmanager
-    def run(self, name: str, arguments: list[str]) -> Iterator[Process]:
+    def timer(self) -> Iterator[Process]:
+        """Run the bare timer at the replacer's rate; it is the topic after the last."""
+        arguments = ['benchmark.timer', str(self.rate), *self.load.text()]
+        with self.run('the timer', arguments) as timer:
+            self.wait(lambda heard: any(h.topic == self.load.topics for h in heard),
+                      'the timer to tick')
+            yield timer
+
+    @contextmanager
+    def run(self, name: str, arguments: list[str], ends: bool = False) -> Iterator[Process]:
         """Run a module as a process, dead at the end whatever happens."""
         log = self.work / f'{name.replace(" ", "_")}.log'
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain),
@@ -101,7 +116,7 @@ class Rig:
             popen = subprocess.Popen([sys.executable, '-m', *arguments], env=environment,
                                      stdin=subprocess.DEVNULL, stdout=file, stderr=file,
                                      preexec_fn=_die_with_parent)
-        process = Process(name, popen, log)
+        process = Process(name, popen, log, ends)
         self.processes.append(process)
         try:
             yield process
@@ -135,7 +150,8 @@ class Rig:
             with output.handle:
                 while taken := output.handle.take_message(self.load.kind, True):
                     stamp, replaced = self.load.read(taken[0])
-                    heard.append(Heard(i, stamp, taken[1]['received_timestamp'], replaced))
+                    heard.append(Heard(i, stamp, taken[1]['source_timestamp'],
+                                       taken[1]['received_timestamp'], replaced))
         return heard
 
     def listen(self, seconds: float) -> list[Heard]:
@@ -172,8 +188,8 @@ _Running = Any  # what contextlib makes of Rig._serve
 
 
 @contextmanager
-def set_up(load: Load) -> Iterator[Rig]:
-    """Start the drivers and the listener in a ROS domain of their own."""
+def set_up(load: Load, rate: float = 1.0 / PERIOD) -> Iterator[Rig]:
+    """Start the drivers and the listener in a ROS domain of their own; rate of the bank [Hz]."""
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE',
                           str(ROOT / 'config' / 'fastdds_localhost.xml'))
@@ -181,32 +197,55 @@ def set_up(load: Load) -> Iterator[Rig]:
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='benchmark_')))
         domain = stack.enter_context(reserved_domain())
-        _write_parameters(load, work)
-        rig = Rig(load, stack.enter_context(_node(domain)), work, domain)
+        rig = Rig(load, rate, stack.enter_context(_node(domain)), work, domain)
+        rig.apart = _write_parameters(load, rate, work)
         stack.enter_context(rig.run('the drivers', ['benchmark.load', *load.text()]))
         yield rig
 
 
 def row_of_tanks(tanks: int) -> Plant:
-    """Return a row of tanks; each flow is the root of a difference of levels."""
+    """
+    Return a row of tanks; each flow is the root of a difference of levels.
+
+    A long row is linear: the designer would take minutes.
+    """
     n = tanks
     G = np.eye(n) - np.eye(n, k=1)  # differences of levels
-    P = np.eye(n, k=-1) - np.eye(n)  # a flow leaves one tank and enters the next
+    P = SPEED * (np.eye(n, k=-1) - np.eye(n))  # a flow leaves one tank and enters the next
+    B = SPEED * np.eye(n)[:, :1]
+    if n > 10:
+        return Plant.from_matrices(P @ G, B, np.eye(n), name='row_of_tanks')
     return Plant.from_matrices(
-        P @ G, np.eye(n)[:, :1], np.eye(n), P=P, G=list(G),
+        P @ G, B, np.eye(n), P=P, G=list(G),
         nonlinearities=['sqrt(w1) - w1'] * n, initial=np.arange(n, 0.0, -1.0), name='row_of_tanks')
 
 
-def _write_parameters(load: Load, work: Path) -> None:
-    """Write the design of one virtual sensor a topic, and the replacer's parameters."""
-    design(row_of_tanks(load.topics)).save(work / 'design.json')
+def _write_parameters(load: Load, rate: float, work: Path) -> list[int]:
+    """Write the design and the parameters; return sensors that may fail by turns."""
+    made = _designed(load.topics)
+    made.save(work / 'design.json')
     lines = ['replacer:', '  ros__parameters:', f'    design_file: {work / "design.json"}',
-             f'    rate: {1.0 / PERIOD}', '    isolation:', f'      topic: {ISOLATION_TOPIC}',
-             '    commands:', f'      u1: {{topic: {COMMAND_TOPIC}, '
-             'type: std_msgs/msg/Float64, field: data}', '    sensors:']
+             f'    rate: {rate}', '    isolation:', f'      topic: {ISOLATION_TOPIC}',
+             '    recovery:', '      dwell: 0.0', '    commands:',
+             f'      u1: {{topic: {COMMAND_TOPIC}, type: std_msgs/msg/Float64, field: data}}',
+             '    sensors:']
     lines += [f'      y{i + 1}: {{topic: {topic}, type: sensor_msgs/msg/{load.message}, '
               f'field: "{load.field}"}}' for i, topic in enumerate(load.outputs)]
     (work / 'replacer.yaml').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    apart: list[int] = []
+    read: set[str] = set()
+    for i, name in enumerate(made.sensors):
+        reads = getattr(made[(name,), name], 'reads', None)
+        if reads is not None and name not in read and \
+                not {made.sensors[j] for j in apart} & set(reads):
+            apart.append(i)
+            read.update(reads)
+    return apart
+
+
+@cache
+def _designed(tanks: int) -> Design:
+    return design(row_of_tanks(tanks))
 
 
 @contextmanager

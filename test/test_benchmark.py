@@ -16,9 +16,19 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
-from benchmark import bank, designer, estimators, healthy_path, isolation, rig as rigs
+from benchmark import (
+    bank,
+    designer,
+    estimators,
+    healthy_path,
+    isolation,
+    jitter,
+    memory,
+    rig as rigs,
+)
 from benchmark.__main__ import main, table
-from benchmark.load import KINDS, Load
+from benchmark.load import COUNTED, KINDS, Load
+from benchmark.rig import Heard
 from benchmark.row import Row
 
 STAMP = 1_700_000_000_123_456_789  # ns
@@ -31,19 +41,57 @@ def assert_numbers(rows):
 
 def test_processes_run_in_turns_and_failed_sensors_are_replaced(monkeypatch):
     monkeypatch.setattr(rigs, 'SETTLE', 0.1)
+    monkeypatch.setattr(jitter, 'SETTLE', 0.1)
     load = Load('Range', 2, 50.0)
     told = []
     with rigs.set_up(load) as rig:
+        assert rig.apart == [0]  # each reads the other
         legs = healthy_path.measure(rig, 0.5, 1, told.append)
         latencies = isolation.measure(rig, 3, told.append)
+        assert told[-1] == 'isolation 3 of 3'
+        ticks = jitter.measure(rig, 0.5, 1, True, told.append)
+        grown = memory.measure(rig, 2000, told.append)
         assert [process.name for process in rig.processes] == ['the drivers']
         drivers = rig.processes[0].popen
     assert drivers.poll() is not None
     assert len(legs['relay']) == len(legs['replacer']) == 1 and len(latencies) == 3
-    rows = [*healthy_path.rows(legs, load), *isolation.rows(latencies, 0.001)]
-    assert_numbers(rows)
-    assert [row.what for row in rows if row.bar] == ['CPU per message', 'median']
-    assert told[-1] == 'isolation 3 of 3'
+    rows = [*healthy_path.rows(legs, load, healthy_path.Bars(0.5, 1.5, 60.0, 0)),
+            *isolation.rows(latencies, 0.001), *jitter.rows(*ticks, rig.rate, 'busy'),
+            *memory.rows(*grown)]
+    assert_numbers(row for row in rows if 'lost' not in row.what)
+    assert [row.what.split(',')[0] for row in rows if row.bar] == [
+        'CPU per message', 'latency p50', 'median', 'p99', 'bank and switch', 'node at 1000 Hz']
+    assert [row.what.split(' of ')[0] for row in rows if row.most is not None] == [
+        'of one core', 'messages lost']
+    assert len(grown[0].resident) == memory.PARTS
+
+
+def heard(topic, count):
+    at = STAMP - STAMP % COUNTED + 10**7 * count  # 100 Hz
+    return Heard(topic, at - at % COUNTED + count % COUNTED, at + 3 * count, 0, False)
+
+
+def test_what_is_lost_is_counted():
+    load = Load('Range', 2, 100.0)
+    sent = [heard(topic, count) for count in range(COUNTED - 99, COUNTED + 101)
+            for topic in (0, 1)]
+    assert healthy_path.lost(sent, load) == 0
+    assert healthy_path.lost(sent[:100] + sent[107:], load) == 7
+    assert healthy_path.lost(sent[1:-4:2] + sent[:-30:2], load) == 0  # some are on their way
+    assert healthy_path.lost(sent[:40] + sent[41::2], load) == 180  # one falls silent
+    assert healthy_path.lost(sent[::2], load) == 200  # or was never heard
+    assert healthy_path.lost(sent[:9] + sent[3:4] + sent[9:], load) == 0  # one came twice
+
+
+def test_ticks_are_judged_by_when_they_were_sent():
+    ticks = [heard(0, count) for count in range(20)]
+    assert jitter.deviations(ticks, 100.0) == pytest.approx([3e-9] * 19, abs=1e-12)
+    assert jitter.deviations(ticks[:10] + ticks[11:], 100.0)[9] == pytest.approx(0.01, rel=1e-5)
+
+
+def test_growth_is_seen_after_the_first_tenth():
+    grown = memory.Growth(1e6, [50, *range(100, 120)])
+    assert (grown.first, grown.last) == (101.5, 118.5)
 
 
 def test_tick_of_the_bank():
@@ -111,13 +159,14 @@ def test_a_part_alone(tmp_path, capsys, monkeypatch):
 def test_a_replaced_message_is_known_by_its_stamp(name):
     load = Load(name)
     raw = load.template(2.5)
-    load.sign(raw, STAMP)
-    assert load.read(bytes(raw)) == (STAMP, False)
+    load.sign(raw, STAMP, 3 * COUNTED + 5)
+    stamp, replaced = load.read(bytes(raw))
+    assert not replaced and abs(stamp - STAMP) < COUNTED and stamp % COUNTED == 5
     message = deserialize_message(bytes(raw), load.kind)
-    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
     assert message.header.frame_id == 'base'
     message.header.stamp.nanosec += 1
-    assert load.read(serialize_message(message)) == (STAMP + 1, True)
+    assert load.read(serialize_message(message)) == (stamp + 1, True)
     assert Load.parse(load.text()) == load
 
 
@@ -128,3 +177,6 @@ def test_bars():
     assert replace(row, ours=1.01).missed
     assert replace(row, ours=math.nan).missed
     assert 'MISSED' in table([replace(row, ours=1.01)]) and 'MISSED' not in table([row])
+    lost = replace(row, ours=0.0, peer=0.0, bar=None, most=0.0)
+    assert not lost.missed and 'held' in table([lost])
+    assert replace(lost, ours=1.0).missed and replace(lost, ours=math.nan).missed
