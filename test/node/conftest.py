@@ -24,15 +24,19 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
 import pytest
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64, String
 
-from vsensor_ros.node.accessor import message_type, put_stamp
-from vsensor_ros.node.replacer import make_node, Replacer
+from vsensor_ros.node.accessor import get_stamp, message_type, put_stamp
+from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.parameters import read
+from vsensor_ros.node.polling import drain, Polled, subscribe
+from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 PERIOD = 10_000_000  # ns
@@ -56,13 +60,14 @@ def domain():
     raise RuntimeError('no free ROS domain')
 
 
-def make_virtual_sensor(channel, fault_set, healthy, N, J, B, Cv, Q, z0):
+def make_virtual_sensor(channel, fault_set, healthy, N, J, B, Cv, Q, z0, start=0.0):
     k, l0 = len(z0), len(healthy)
     return VirtualSensor(
         channel, fault_set, healthy, ('u1',), np.ones((k, 1)), np.reshape(N, (k, k)),
         np.reshape(J, (k, l0)), np.reshape(B, (k, 1)), np.zeros((k, 0)), np.reshape(Cv, (1, k)),
         np.reshape(Q, (1, l0)), (), (), (), None, np.array(z0), np.zeros((k, l0)),
-        np.array(N, dtype=complex), 1.0, 'by hand')
+        np.array(N, dtype=complex), 1.0, 'by hand', start=None if start is None else
+        start * np.eye(k))
 
 
 @pytest.fixture(scope='session')
@@ -91,7 +96,8 @@ def design_file(plan, tmp_path_factory):
 @pytest.fixture(scope='session')
 def parameters(design_file):
     """Parameters by their full names, three sensors on topics of their own."""
-    given = {'design_file': str(design_file), 'rate': 100.0}
+    given = {'design_file': str(design_file), 'rate': 100.0, 'time_constant': 0.0,
+             'recovery.dwell': 0.0}
     for name in ('y1', 'y2', 'y3'):
         given[f'sensors.{name}.topic'] = f'/{name}'
         given[f'sensors.{name}.type'] = 'sensor_msgs/msg/Range'
@@ -102,41 +108,67 @@ def parameters(design_file):
     return given
 
 
+@pytest.fixture(scope='session')
+def joint_parameters(parameters):
+    """Have y1 and y2 in one JointState, y3 alone."""
+    given = dict(parameters)
+    for name, joint in (('y1', 'shoulder'), ('y2', 'elbow')):
+        given[f'sensors.{name}.topic'] = '/joint_states'
+        given[f'sensors.{name}.type'] = 'sensor_msgs/msg/JointState'
+        given[f'sensors.{name}.field'] = f'position[{joint}]'
+    return given
+
+
 class Rig:
     """A replacer under a clock that the test steps, its drivers and one listener a topic."""
 
-    def __init__(self, parameters, sim_time=True):
+    def __init__(self, parameters, sim_time=True, active=True):
         self.context = Context()
         self.context.init()
         values = {'use_sim_time': sim_time, **parameters}
-        self.replacer = Replacer(make_node(
-            self.context, [Parameter(name, value=value) for name, value in values.items()]))
+        node = Node('replacer', context=self.context,
+                    parameter_overrides=[Parameter(k, value=v) for k, v in values.items()],
+                    automatically_declare_parameters_from_overrides=True)
         self.node = Node('rig', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.replacer.node)
-        self.executor.add_node(self.node)
         self.now = START
         self.publishers = {}
+        self.listeners = []
         self.sent = {}
         self.taken = Counter()
-        for stream in self.replacer.streams:
-            stream.read = self.counted(stream.subscription.topic_name, stream.read)
+        self.replacer = None
+        self.restart(node)
         if sim_time:
-            self.clock = self.publisher(Clock, '/clock')
+            self.clock = self.publisher(Clock, '/clock', 2)  # rclpy hears it, too
             self.clock.publish(Clock(clock=stamp_of(START)))
-            assert self.spin_until(lambda: self.replacer.now == START)
+            assert self.spin_until(lambda: self.replacer.clock.now == START)
+        if active:
+            self.replacer.activate()
+
+    def restart(self, node=None):
+        """Start a replacer, on the node of the one before if there was one."""
+        if self.replacer is not None:
+            node = self.replacer.node
+            self.replacer.close()
+        self.replacer = Replacer(node, read(node))
+        for stream in self.replacer.streams:
+            self.count(stream.subscription.topic_name, stream.reader)
+        for command, reader, _ in self.replacer.commands:
+            self.count(command.topic, reader)
 
     def close(self):
-        self.executor.shutdown()
         self.node.destroy_node()
+        self.replacer.close()
         self.replacer.node.destroy_node()
         self.context.try_shutdown()
 
-    def counted(self, topic, read):
-        def reading(raw, received):
+    def count(self, topic, reader):
+        """Count what is read from a topic."""
+        read = reader.read
+
+        def reading(raw):
             self.taken[topic] += 1
-            return read(raw, received)
-        return reading
+            return read(raw)
+        reader.read = reading
 
     def publisher(self, kind, topic, subscribers=1):
         if topic not in self.publishers:
@@ -145,24 +177,29 @@ class Rig:
                 lambda: self.publishers[topic].get_subscription_count() >= subscribers)
         return self.publishers[topic]
 
-    def listen(self, kind_name, topic):
+    def listen(self, kind_name, topic, reliability=ReliabilityPolicy.RELIABLE):
         """Return the list that the messages (raw) of a topic will go to."""
-        kind = message_type(kind_name)
+        subscription = subscribe(self.node, Polled(), message_type(kind_name), topic,
+                                 QoSProfile(depth=1000, reliability=reliability),
+                                 overridden=False)
         heard = []
-        subscription = self.node.create_subscription(kind, topic, heard.append, 1000, raw=True)
+        self.listeners.append((subscription, heard))
         assert self.spin_until(lambda: subscription.get_publisher_count() == 1)
         return heard
 
-    def spin_until(self, condition, timeout=10.0):
+    def spin_until(self, condition, timeout=3.0):
+        """Poll until a condition holds; tell whether it came to that."""
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
                 return False
             self.replacer.poll()
-            self.executor.spin_once(timeout_sec=0.001)
+            for subscription, heard in self.listeners:
+                heard.extend(raw for raw, _ in drain(subscription))
+            time.sleep(0.0003)
         return True
 
-    def spin(self, seconds=0.05):
+    def spin(self, seconds=0.02):
         self.spin_until(lambda: False, seconds)
 
     def step(self, *messages, periods=1):
@@ -183,24 +220,70 @@ class Rig:
                 publisher.publish(raw)  # padding has any content: bytes compare only with bytes
             assert self.spin_until(lambda due=before + expected: self.taken >= due)
             self.clock.publish(Clock(clock=stamp_of(self.now)))
-            assert self.spin_until(lambda: self.replacer.now == self.now)
+            assert self.spin_until(lambda: self.replacer.clock.now == self.now)
         self.spin(0.005)
+
+    def send(self, stamp, value=0.75, topic='/y2_raw'):
+        """Send one reading with a stamp, and wait until it is read."""
+        message = self.reading(value)
+        put_stamp(message, stamp)
+        before = self.taken[topic]
+        self.publisher(Range, topic).publish(message)
+        assert self.spin_until(lambda: self.taken[topic] > before)
 
     def isolate(self, *names):
         """Say that these sensors are faulty and all others healthy."""
         statuses = [DiagnosticStatus(name=name, level=b'\x02' if name in names else b'\x00')
                     for name in ('y1', 'y2', 'y3')]
-        self.publisher(DiagnosticArray, '/isolation').publish(DiagnosticArray(status=statuses))
-        assert self.spin_until(lambda: self.replacer.switch.faulty == set(names))
+        self.publisher(DiagnosticArray, '/isolation').publish(
+            DiagnosticArray(status=statuses))
+        assert self.spin_until(lambda: self.replacer.switch.reported == set(names))
 
     def command(self, value):
-        before = self.replacer.bank._samples['u1'].stamps[-1:]
+        before = self.taken['/u1']
         self.publisher(Float64, '/u1').publish(Float64(data=value))
-        assert self.spin_until(
-            lambda: self.replacer.bank._samples['u1'].stamps[-1:] != before)
+        assert self.spin_until(lambda: self.taken['/u1'] > before)
 
     def say(self, text):
         self.publisher(String, '/isolation').publish(String(data=text))
+
+    def told(self):
+        """Return the state of each channel."""
+        self.spin(0.005)
+        return {channel.name: channel for channel in self.replacer.channels()}
+
+    # what is sent and what was heard
+
+    @staticmethod
+    def reading(value, frame='tank'):
+        message = Range(range=float(value), min_range=0.1, max_range=9.0, variance=0.5)
+        message.header.frame_id = frame
+        return message
+
+    @staticmethod
+    def healthy(y1=0.5, y2=1.0, y3=0.0):
+        """Return readings of all three sensors, that of y2 twice that of y1."""
+        return [(f'/{name}_raw', Rig.reading(value, f'frame of {name}'))
+                for name, value in (('y1', y1), ('y2', y2), ('y3', y3))]
+
+    @staticmethod
+    def arm(shoulder, elbow, wrist=0.0):
+        message = JointState(name=['wrist', 'elbow', 'shoulder'],
+                             position=[wrist, elbow, shoulder], effort=[wrist] * 3)
+        message.header.frame_id = 'base'
+        return ('/joint_states_raw', message)
+
+    @staticmethod
+    def raw(message):
+        return serialize_message(message)
+
+    @staticmethod
+    def stamps(raws, kind=Range):
+        return [get_stamp(decode(kind, raw)) for raw in raws]
+
+    @staticmethod
+    def values(raws):
+        return [decode(Range, raw).range for raw in raws]
 
 
 def stamp_of(nanoseconds):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 
+from lifecycle_msgs.srv import GetState
 import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -67,6 +68,7 @@ def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
     assert process.returncode == 0, err
     assert 'Traceback' not in out + err and 'Exception' not in out + err, err
     assert '/y1_raw -> /y1 (sensor_msgs/msg/Range, range)' in err
+    assert 'isolation: /isolation (diagnostic_msgs/msg/DiagnosticArray)' in err
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -136,3 +138,40 @@ def test_no_home(parameter_file, tmp_path):
     _, rest = process.communicate(timeout=30)
     assert process.returncode == 0 and 'Traceback' not in seen + rest
     assert list(tmp_path.glob('ros_log_*'))
+
+
+def test_it_waits_for_a_lifecycle_manager_and_ends_meanwhile(parameter_file):
+    parameter_file.write_text(parameter_file.read_text().replace(
+        'rate: 100', 'rate: 100\n    autostart: false'))
+    process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
+                               stderr=subprocess.PIPE, text=True)
+    context = Context()
+    context.init()
+    node = Node('rig', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        client = node.create_client(GetState, '/replacer/get_state')
+        assert client.wait_for_service(30.0)
+        future = client.call_async(GetState.Request())
+        executor.spin_until_future_complete(future, 30.0)
+        assert future.result().current_state.label == 'unconfigured'
+        process.terminate()
+        _, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.wait()
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+    assert process.returncode == 0 and 'Traceback' not in err, err
+    assert ' -> ' not in err  # it was never configured
+
+
+def test_autostart_is_true_or_false(parameter_file):
+    parameter_file.write_text(parameter_file.read_text().replace(
+        'rate: 100', 'rate: 100\n    autostart: maybe'))
+    ended = run('--ros-args', '--params-file', str(parameter_file))
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("/replacer: autostart: 'maybe' is not true or false; ")
+    assert ended.stderr.count('\n') == 1

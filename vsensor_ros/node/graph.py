@@ -9,6 +9,8 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 
+from vsensor_ros.node.parameters import Settings
+
 
 @dataclass(frozen=True)
 class End:
@@ -19,17 +21,38 @@ class End:
     speaks: bool  # we publish there
 
 
-def complaints(node: Node, ends: Iterable[End]) -> Iterator[str]:
-    """Yield one line for each endpoint on the graph that does not go with ours."""
+@dataclass(frozen=True)
+class Complaint:
+    """One endpoint of another node that does not go with ours."""
+
+    topic: str
+    text: str  # what is and what to do about it
+
+    def __str__(self) -> str:
+        return f'{self.topic}: {self.text}'
+
+
+def ends_of(settings: Settings) -> tuple[End, ...]:
+    """Return the topics that were configured, each once."""
+    ends = [End(settings.isolation_topic, settings.isolation_type, False)]
+    for sensor in settings.sensors:
+        ends.append(End(sensor.input, sensor.type, False))
+        ends.append(End(sensor.output, sensor.type, True))
+    ends += [End(command.topic, command.type, False) for command in settings.commands]
+    return tuple(dict.fromkeys(ends))
+
+
+def complaints(node: Node, ends: Iterable[End]) -> Iterator[Complaint]:
+    """Yield a complaint for each endpoint on the graph that does not go with ours."""
     for end in ends:
         ours, publishers = _split(node, node.get_publishers_info_by_topic(end.topic))
         if end.speaks:
             for other in publishers:
-                yield (f'{end.topic}: {_who(other)} publishes there too, on the output of this '
-                       f'node; remap it, if it is the driver to {end.topic}_raw')
+                yield Complaint(end.topic, f'{_who(other)} publishes there too, on the output of '
+                                f'this node; remap it, if it is the driver to {end.topic}_raw')
             for other in ours[1:]:  # this node has one
-                yield (f'{end.topic}: another {_who(other)} publishes there too, on the output '
-                       'of this node; end it, unless it was killed just now')
+                yield Complaint(end.topic, f'another {_who(other)} publishes there too, on the '
+                                'output of this node; end it, unless it was killed just now')
             _, listeners = _split(node, node.get_subscriptions_info_by_topic(end.topic))
             for other in listeners:
                 yield from _mismatch(end, other, [(p, other) for p in ours])
@@ -52,18 +75,19 @@ def _split(node: Node, endpoints: Iterable[Any]) -> tuple[list[Any], list[Any]]:
     return ours, others
 
 
-def _mismatch(end: End, other: Any, pairs: Iterable[tuple[Any, Any]]) -> Iterator[str]:
+def _mismatch(end: End, other: Any, pairs: Iterable[tuple[Any, Any]]) -> Iterator[Complaint]:
     """Compare with one endpoint, given as (publisher, subscription) with each of ours."""
     if other.topic_type != end.type:
-        yield (f'{end.topic}: {_who(other)} uses the type {other.topic_type}, this node '
-               f'{end.type}; nothing passes between them, correct the type of one')
+        yield Complaint(end.topic, f'{_who(other)} uses the type {other.topic_type}, this node '
+                        f'{end.type}; nothing passes between them, correct the type of one')
         return
     for publisher, subscription in pairs:
         compatible, reason = qos_check_compatible(
             publisher.qos_profile, subscription.qos_profile)
         if compatible == QoSCompatibility.ERROR:
-            yield (f'{end.topic}: the QoS of {_who(other)} does not match that of this node '
-                   f'({reason.strip().rstrip(";")}); nothing passes between them')
+            yield Complaint(end.topic, f'the QoS of {_who(other)} does not match that of this '
+                            f'node ({reason.strip().rstrip(";")}); nothing passes between them, '
+                            f'change it there, or here with qos_overrides.{end.topic}')
 
 
 def _who(endpoint: Any) -> str:

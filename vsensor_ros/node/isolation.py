@@ -2,18 +2,28 @@
 What the fault isolation says: from its messages to the set of faulty sensors. Pure, no node.
 
 A DiagnosticArray speaks of the sensors it names, and only of them: absence is not recovery.
-A String holds the complete set, if it is understood; else it adds to the set.
+A String holds the complete set, if it is understood; else it adds to the set. Anybody may publish
+there, so that size, number and rate of what is looked at are bounded, and what is said of it too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
-import difflib
+from heapq import nsmallest
+from itertools import islice
 import re
 
 OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
+LARGEST = 2**18  # bytes of a message that is decoded (15 ms)
+PER_SECOND = 2**20  # bytes a second that are decoded; one second's worth may come at once
+LEAST = 1024  # bytes that a message counts as, at least: so it is 1024 messages a second, too
+MOST_STATUSES = 4096  # of a message that are looked at
 LARGEST_TEXT = 65536  # characters of a String that are looked at
+FEW = 5  # problems of a message that are spelled out
+
+TOO_LARGE = f'messages of more than {LARGEST} bytes'
+TOO_MUCH = f'messages beyond {PER_SECOND} bytes a second'
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,24 @@ class Isolation:
 
     faulty: frozenset[str]
     problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """How many bytes may be decoded now; refilled as time passes, up to one second's worth."""
+
+    left: float = PER_SECOND  # bytes
+    time: int = 0  # ns, of a clock that is never set back
+
+    def admit(self, size: int, now: int) -> tuple[Allowance, str | None]:
+        """Return what is left after a message of `size` bytes, and why it is not read, or None."""
+        left = min(PER_SECOND, self.left + PER_SECOND * (now - self.time) * 1e-9)
+        if size > LARGEST:
+            return Allowance(left, now), TOO_LARGE
+        size = max(size, LEAST)
+        if size > left:
+            return Allowance(left, now), TOO_MUCH
+        return Allowance(left - size, now), None
 
 
 def from_statuses(statuses: Iterable[tuple[str, bytes | int]], sensors: Collection[str],
@@ -34,20 +62,24 @@ def from_statuses(statuses: Iterable[tuple[str, bytes | int]], sensors: Collecti
     one of the isolation's own an ERROR or STALE of them is a problem.
     """
     after = set(faulty)
-    problems = []
+    wrong: dict[str, object] = {}
     unknown = set()
-    for name, level in statuses:
+    rest = iter(statuses)
+    for name, level in islice(rest, MOST_STATUSES):
         number = level[0] if isinstance(level, bytes) and level else level
         if name not in sensors:
             if not shared and number in (ERROR, STALE):
                 unknown.add(name)
-            continue
-        if number in (ERROR, STALE):
+        elif number in (ERROR, STALE):
             after.add(name)
         elif number == OK:
             after.discard(name)
         elif number != WARN:
-            problems.append(f'{name}: level {number!r} is none of OK, WARN, ERROR, STALE; ignored')
+            wrong[name] = number
+    problems = [f'{name}: level {number!r} is none of OK, WARN, ERROR, STALE; ignored'
+                for name, number in islice(wrong.items(), FEW)]
+    if next(rest, None) is not None:
+        problems.append(f'more than {MOST_STATUSES} statuses; those beyond are ignored')
     return Isolation(frozenset(after), (*problems, *_strangers(unknown, sensors)))
 
 
@@ -69,12 +101,16 @@ def from_text(text: str, sensors: Collection[str], faulty: frozenset[str]) -> Is
     return Isolation(names)
 
 
-def _strangers(unknown: Collection[str], sensors: Collection[str]) -> list[str]:
-    problems = []
-    for name in sorted(unknown)[:5]:
-        near = difflib.get_close_matches(name, sensors, 1)
-        problems.append(f'{name!r:.80} is not a sensor' + (
-            f'; did you mean {near[0]}?' if near else f'; there are {", ".join(sensors)}'))
-    if len(unknown) > 5:
-        problems.append(f'and {len(unknown) - 5} more that are not sensors')
-    return problems
+def _strangers(unknown: Collection[str], sensors: Collection[str]) -> Iterator[str]:
+    for name in nsmallest(FEW, unknown):
+        near = _near(name, sensors)
+        yield f'{name!r:.80} is not a sensor' + (
+            f'; did you mean {near}?' if near else f'; there are {", ".join(sensors):.400}')
+    if len(unknown) > FEW:
+        yield f'and {len(unknown) - FEW} more that are not sensors'
+
+
+def _near(name: str, sensors: Iterable[str]) -> str | None:
+    """Return the longest sensor's name in it; cheap, for garbage may come a thousand times."""
+    text = name[:80].casefold()
+    return max((s for s in sensors if s.casefold() in text), key=len, default=None)

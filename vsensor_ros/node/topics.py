@@ -1,96 +1,46 @@
 """
 Message streams: what arrives on topics, and what goes out in place of failed channels.
 
-Subscriptions are polled (an executor costs several times as much a message): they sit in a
-callback group that never executes and are drained with take_message.
-
-While a channel of a stream is failed, messages are composed: the latest live message is the
-template, the failed channels are written into it, and every other channel is what it last said.
+A message with no failed channel in it goes on as the bytes that came. While a channel of a driver
+is failed, its messages are composed: the latest live one is the template, the failed channels are
+written into it, and every other channel is what it last said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+import copy
 from dataclasses import dataclass, field
+import math
 from typing import Any, NamedTuple
 
-from rclpy.callback_groups import CallbackGroup
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
+from vsensor_ros.node.accessor import has_stamp, NOT_THERE, put_stamp
+from vsensor_ros.node.cdr import decode, Reader, Reading
+from vsensor_ros.node.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.node.clock import NodeClock
+from vsensor_ros.node.driver import Driver, Drivers
 from vsensor_ros.node.parameters import Sensor
+from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe
+from vsensor_ros.node.qos import qos_options
+from vsensor_ros.node.variance import compile_variance
 
-DEPTH = 200  # messages kept between two polls, and taken at most in one
-CLOCKS_APART = 1_000_000_000  # ns; stamps further than this from ours are another clock's
-PATIENCE = 5_000_000_000  # ns of nothing but stamps that run backwards, then they are believed
 NOT_NEWER = 'not sent on: not newer than what went out'
-# a best-effort subscription also hears reliable publishers, a volatile one transient-local ones
-LISTEN = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-LISTEN_RELIABLY = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 SPEAK = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 
 
-class Polled(CallbackGroup):
-    """A group whose subscriptions no executor waits for."""
+class Substitute(NamedTuple):
+    """What is to go out for a failed channel."""
 
-    def can_execute(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
-
-
-def subscribe(node: Node, group: Polled, kind: Any, topic: str, qos: QoSProfile) -> Subscription:
-    """Subscribe to serialized messages, to be taken with `drain`."""
-    return node.create_subscription(
-        kind, topic, _never, qos, callback_group=group, raw=True,
-        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
-
-
-def _never(message: Any) -> None:
-    raise AssertionError('a polled subscription was executed')
-
-
-def drain(subscription: Subscription) -> list[tuple[bytes, int]]:
-    """
-    Return what has arrived: serialized messages, each with its time of receipt.
-
-    The time is the system clock's, in ns. Mostly nothing has arrived, so that must cost little.
-    """
-    take, kind = subscription.handle.take_message, subscription.msg_type
-    arrived: list[tuple[bytes, int]] = []
-    while len(arrived) < DEPTH and (taken := take(kind, True)) is not None:
-        arrived.append((taken[0], taken[1]['received_timestamp']))
-    return arrived
-
-
-def decode(kind: Any, raw: bytes) -> Any:
-    """Return the message in these bytes, or None when there is none."""
-    try:
-        return deserialize_message(raw, kind)
-    except (RuntimeError, ValueError, MemoryError):  # what rmw raises on bytes of another make
-        return None
-
-
-class Arrived(NamedTuple):
-    """One message, decoded."""
-
-    raw: bytes
-    message: Any
-    stamp: int | None  # ns, the header's; None when the type has none or it is not filled in
-    received: int  # ns, by the system's clock
-    readings: dict[str, float | str]  # by channel: the value, or why there is none
-    foreign: bool  # of other joints: names none of the channels, which is sound
+    value: float | None  # NaN marks it as failed; None: nothing is to go out
+    fault_set: tuple[str, ...] | None = None  # of the virtual sensor that says so
+    deviation: float = math.inf  # standard deviation; inf when not known
+    above: float | None = None  # see Channel.serve
 
 
 @dataclass(eq=False)
@@ -98,175 +48,274 @@ class Stream:
     """The messages of one input topic, on their way to one output topic. Times are in ns."""
 
     sensors: tuple[Sensor, ...]
+    channels: tuple[Channel, ...]  # of these sensors
     subscription: Subscription
     publisher: Publisher
-    stamped: bool
-    max_age: int  # of what a channel said, to go out
-    warn: Callable[[str], None]
-    passing: frozenset[str] = frozenset()  # failed, let through all the same
-    problem: str | None = None  # why nothing goes out, though it should
-    last_sent: int | None = None  # the largest stamp that went out
-    blocked: int | None = None  # node clock, since when all stamps were too old to go out
-    _template: Arrived | None = None
-    _composed: Any = None  # the message of the template, with what was put into it
-    _taken: int = 0  # node clock, of the template
-    _strict: bool = False  # something was composed: from now on stamps increase strictly
-    _offset: int = 0  # of the driver's clock to the node's
+    clock: NodeClock
+    say: Callable[[str], None]  # an error
+    active: bool = False  # sends
+    failed: frozenset[str] = frozenset()  # channels that are composed
+    passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
+    plain: bool = True  # nothing was ever composed: every message goes on
+    drivers: Drivers = field(default_factory=Drivers)
     _latest: dict[str, float] = field(default_factory=dict)  # by channel: what it said
-    _heard: dict[str, int] = field(default_factory=dict)  # and when
+    _heard: dict[str, int] = field(default_factory=dict)  # and when, by the node's clock
     _lacks: dict[str, tuple[str, int]] = field(default_factory=dict)  # why it did not, and when
 
-    def read(self, raw: bytes, received: int) -> Arrived | None:
-        """Decode a message of this stream; None when it is not one."""
-        message = decode(self.sensors[0].kind, raw)
-        if message is None:
-            return None
-        stamp = get_stamp(message) if self.stamped else 0
-        return Arrived(raw, message, stamp or None, received,
-                       {s.name: s.accessor.get(message) for s in self.sensors},
-                       all(s.accessor.absent(message) for s in self.sensors))
+    def __post_init__(self) -> None:
+        kind = self.sensors[0].kind
+        self.reader = Reader(kind, [s.accessor.path for s in self.sensors])
+        self.kind, self._stamped = kind, has_stamp(kind)
+        self.names = tuple(s.name for s in self.sensors)
+        self._max_age = {c.name: c.max_age for c in self.channels}
+        self.absent = tuple(NOT_THERE.format(s.accessor.path) for s in self.sensors)
+        self._set_variance = {s.name: compile_variance(kind, s.accessor.path)
+                              for s in self.sensors}
+        self._send = self.publisher.handle.publish_raw
+
+    # -------------------------------------------------------------------------- what comes in
 
     def lacks(self, reason: str, now: int) -> None:
         """Note that something arrived that says nothing of any channel."""
-        self._lacks.update({sensor.name: (reason, now) for sensor in self.sensors})
+        self._lacks.update(dict.fromkeys(self.names, (reason, now)))
+
+    def heard(self, name: str) -> bool:
+        """Tell whether a channel has ever spoken, since the clock went back."""
+        return name in self._heard
+
+    def latest(self, name: str) -> float:
+        """Return what a channel said last, NaN before it spoke."""
+        return self._latest.get(name, math.nan)
 
     def fresh(self, name: str, now: int) -> bool:
-        """Tell whether a channel has spoken within max_age."""
+        """Tell whether a channel has spoken within its max_age."""
         heard = self._heard.get(name)
-        return heard is not None and now - heard <= self.max_age
+        return heard is not None and now - heard <= self._max_age[name]
 
     def why_silent(self, name: str, now: int) -> str | None:
         """Return in words why a healthy channel is not to be had live, or None when it is."""
         topic = self.sensors[0].input
         if self.fresh(name, now):
-            stuck = self.blocked is not None and now - self.blocked > self.max_age
+            blocked = self.drivers.of(name).blocked
+            stuck = blocked is not None and now - blocked > self._max_age[name]
             return f'messages arrive on {topic}, but are {NOT_NEWER}' if stuck else None
         reason, at = self._lacks.get(name, ('', 0))
-        if reason and now - at <= self.max_age:
+        if reason and now - at <= self._max_age[name]:
             return f'messages arrive on {topic}, but {reason}'
         return f'nothing comes on {topic}'
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
-        self.last_sent = self.blocked = None
-        self._strict, self._offset, self._taken = False, 0, 0
+        for driver in self.drivers.all:
+            driver.forget()
         self._heard.clear()
         self._lacks.clear()
 
-    def accept(self, arrived: Arrived, now: int, faulty: Collection[str]) -> str | None:
+    def accept(self, raw: bytes, reading: Reading) -> str | None:
         """
-        Send a live message on unchanged, or keep what it says for the messages composed of it.
+        Send a live message on, or keep what it says for the messages composed of it.
 
-        Returns why a message that should have gone out did not, or None.
+        Returns why a message that should have gone out did not, or None. Raises RuntimeError when
+        the middleware cannot send it.
         """
-        failed = any(s.name in faulty and s.name not in self.passing for s in self.sensors)
-        if arrived.foreign and not (failed and self._same_driver(arrived.message)):
-            self.lacks(next(str(why) for why in arrived.readings.values()), now)
-            self.publisher.publish(arrived.raw)  # its stamps are its own
+        now, values = self.clock.now, reading.values
+        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float:
+            self._send(raw)  # mostly it is so, and soon is better
+            self._keep(raw, reading.stamp, float(values[0]), now)
             return None
-        for name, said in arrived.readings.items():
-            if isinstance(said, str):
-                self._lacks[name] = (said, now)
+        if reading.foreign:
+            return self._pass_foreign(raw, values[0], now)
+        for name, value in zip(self.names, values):
+            if isinstance(value, str):
+                self._lacks[name] = value, now
             else:
-                self._latest[name], self._heard[name] = said, now
-        # of two drivers on one topic the one with more of the channels
-        if self._template is None or now - self._taken > self.max_age or \
-                _carried(arrived, faulty) >= _carried(self._template, faulty):
-            self._template, self._composed, self._taken = arrived, arrived.message, now
-        if failed:
+                self._latest[name], self._heard[name] = value, now
+        driver = self.drivers.sender(self.names if str not in map(type, values) else tuple(
+            n for n, v, absent in zip(self.names, values, self.absent) if v != absent))
+        failed = self.failed and self.failed & driver.channels
+        driver.keep(raw, sum(v.__class__ is float and n not in failed
+                             for n, v in zip(self.names, values)) if len(values) > 1 else 0,
+                    now, self._max_age[self.names[0]])
+        if failed or not self.active:
             return None  # it goes out in the next message that is composed
-        stamp = arrived.stamp
+        stamp = reading.stamp
         if stamp is not None:
-            if self._strict and not self._in_order(stamp, now):
+            if driver.strict and not driver.in_order(stamp, now, self._step_back):
                 return NOT_NEWER
-            self._offset = stamp - now
-            if self.last_sent is None or self.last_sent < stamp or \
-                    self.last_sent - stamp > CLOCKS_APART:
-                self.last_sent = stamp
-        self.publisher.publish(arrived.raw)
+            driver.sends(stamp, now)
+        if not self.plain:
+            raw = self._blended(raw, reading)
+        self._send(raw)
         return None
 
-    def _same_driver(self, message: Any) -> bool:
-        """Tell whether a message shares joints with the template: not all of it is foreign."""
-        return self._composed is not None and any(
-            set(s.accessor.names(message)) & set(s.accessor.names(self._composed))
-            for s in self.sensors)
+    def _keep(self, raw: bytes, stamp: int | None, value: float, now: int) -> None:
+        """Note what went out of the one channel there is."""
+        (name,) = self.names
+        self._latest[name], self._heard[name] = value, now
+        driver = self.drivers.sender(self.names)
+        driver.raw, driver.message, driver.taken = raw, None, now
+        if stamp is not None:
+            driver.sends(stamp, now)
 
-    def compose(self, time: int, values: Mapping[str, float], now: int) -> None:
+    def _pass_foreign(self, raw: bytes, why: Any, now: int) -> str | None:
+        """Pass on a message of other joints, with its own stamps, if its driver is healthy."""
+        if self.failed and self._same_driver(raw, now):
+            return None
+        self.lacks(why, now)
+        if self.active:
+            self._send(raw)
+        return None
+
+    def _same_driver(self, raw: bytes, now: int) -> bool:
+        """Take a message that shares joints with a failed driver's for its template."""
+        message = decode(self.kind, raw)
+        for driver in self.drivers.all:
+            if not self.failed & driver.channels or driver.raw is None:
+                continue
+            template = self._template(driver)
+            if any(set(s.accessor.names(message)) & set(s.accessor.names(template))
+                   for s in self.sensors):
+                driver.keep(raw, 0, now, self._max_age[self.names[0]])
+                self.lacks(self.absent[0], now)
+                return True
+        return False
+
+    def _blended(self, raw: bytes, reading: Reading) -> bytes:
+        """Return a live message with what is left of the offsets of the last switch."""
+        lasting = self.clock.lasting()
+        changed = {}
+        for i, (channel, value) in enumerate(zip(self.channels, reading.values)):
+            if value.__class__ is float and math.isfinite(value) and \
+                    channel.name not in self.passing:
+                put = channel.serve(REAL, (), value, lasting)
+                if put != value:
+                    changed[i] = put
+        if not changed:
+            return raw
+        written = self.reader.write(raw, reading, changed)
+        return raw if isinstance(written, str) else written
+
+    def _step_back(self, seconds: float) -> None:
+        sensor = self.sensors[0]
+        self.say(f'the stamps on {sensor.input} stay {seconds:.1f} s behind what went out on '
+                 f'{sensor.output}: they step back there now; mend the clock of the driver')
+
+    # --------------------------------------------------------------------------- what goes out
+
+    def fail(self, failed: frozenset[str], passing: frozenset[str] = frozenset()) -> None:
+        """Compose these channels from now on; those passing have failed, too."""
+        self.passing = passing
+        if self.plain and failed:
+            lasting = self.clock.lasting()
+            for channel in self.channels:  # what it said last went out; nobody noted it till now
+                heard = self._heard.get(channel.name)
+                if heard is not None and self.active:
+                    channel.value = self._latest[channel.name]
+                    channel.sent = lasting - (self.clock.now - heard)
+            self.plain = False
+        if failed != self.failed:
+            self.failed = failed
+            for driver in self.drivers.all:
+                driver.carried, driver.problem = 0, None
+
+    def compose(self, time: int, substitutes: Mapping[str, Substitute],
+                at_once: bool = False) -> dict[str, str]:
         """
-        Send the template with these channels replaced, stamped with the state's time.
+        Send each template with these channels replaced, stamped with the state's time.
 
-        All other channels are as they were last heard, NaN when that is too long ago. `problem`
-        says afterwards why nothing was sent; it is None, too, when something as new is out.
+        All other channels are as they were last heard, NaN when that is too long ago. A driver
+        none of whose channels has a value sends nothing; beside others, one without is NaN.
+        at_once: may be stamped a little later. Returns by channel why nothing went out for it, ''
+        if NaN did. Raises RuntimeError when the middleware cannot send it.
         """
-        self.problem = self._compose(time, values, now)
+        troubles: dict[str, str] = {}
+        if not self.active or time == 0:
+            return troubles
+        for driver, names in self.drivers.serving(substitutes).items():
+            stopped = [name for name in names if substitutes[name].value is None]
+            if len(stopped) == len(names) and not any(
+                    self.fresh(name, self.clock.now) for name in driver.channels
+                    if name not in names):
+                continue
+            driver.problem = self._compose(driver, time, substitutes, at_once)
+            for name in names if driver.problem else stopped:
+                troubles[name] = driver.problem or ''
+        return troubles
 
-    def _compose(self, time: int, values: Mapping[str, float], now: int) -> str | None:
-        message = self._composed
+    def _compose(self, driver: Driver, time: int, substitutes: Mapping[str, Substitute],
+                 at_once: bool) -> str | None:
+        now = self.clock.now
+        message = self._template(driver)
         if message is None:
-            if self.stamped:
-                return 'no message of its driver was ever seen, so frame and names are not known'
-            message = self.sensors[0].kind()
-        apart = self.stamped and abs(self._offset) > CLOCKS_APART
-        stamp = time + self._offset if apart else time
-        if not self._in_order(stamp, now):
-            assert self.blocked is not None
-            return NOT_NEWER if now - self.blocked > self.max_age else None
-        for sensor in self.sensors:
-            put, get = sensor.accessor.put, sensor.accessor.get
-            if sensor.name in values:
-                problem = put(message, values[sensor.name])
-            elif self.fresh(sensor.name, now):
-                problem = put(message, self._latest[sensor.name])
-            elif isinstance(get(message), float):
-                problem = put(message, float('nan'))
-            else:
-                continue  # neither known nor there
+            return 'no message of its driver was ever seen, so frame and names are not known'
+        stamp = driver.stamp_for(time, at_once)
+        if not driver.in_order(stamp, now, self._step_back):
+            assert driver.blocked is not None
+            longest = max(self._max_age[name] for name in driver.channels)
+            return NOT_NEWER if now - driver.blocked > longest else None
+        for sensor, channel in zip(self.sensors, self.channels):
+            if sensor.name not in driver.channels:
+                continue
+            substitute = substitutes.get(sensor.name)
+            problem = self._fill_live(message, sensor, channel) if substitute is None else \
+                self._fill(message, sensor, channel, substitute, time)
             if problem is not None:
                 return problem
-        if self.stamped:
+        if self._stamped:
             put_stamp(message, stamp)
-        if apart and not self._strict:
-            self.warn(f'the stamps on {self.sensors[0].input} are {self._offset * 1e-9:+.1f} s '
-                      'from the clock of this node; the estimates in their place follow them')
+        if driver.apart and not driver.strict:
+            self.say(f'the stamps on {self.sensors[0].input} are {driver.offset * 1e-9:+.1f} s '
+                     'from the clock of this node; the estimates in their place follow them')
         self.publisher.publish(message)
-        self._composed, self.last_sent, self._strict = message, stamp, True
+        driver.last_sent, driver.strict = stamp, True
         return None
 
-    def _in_order(self, stamp: int, now: int) -> bool:
-        """Tell whether a message with this stamp may go out; after a while, it may."""
-        if self.last_sent is None or stamp > self.last_sent:
-            self.blocked = None
-            return True
-        if self.blocked is None:
-            self.blocked = now
-        if now - self.blocked < PATIENCE:
-            return False
-        self.warn(f'the stamps on {self.sensors[0].input} stay '
-                  f'{(self.last_sent - stamp) * 1e-9:.1f} s behind what went out on '
-                  f'{self.sensors[0].output}: they step back there now; mend the clock of the '
-                  'driver')
-        self.blocked = self.last_sent = None
-        return True
+    def _fill(self, message: Any, sensor: Sensor, channel: Channel, substitute: Substitute,
+              time: int) -> str | None:
+        """Write a substitute into a message; return why it cannot be written, or None."""
+        value = math.nan if substitute.value is None else substitute.value
+        if substitute.fault_set is not None:
+            value = channel.serve(VIRTUAL, substitute.fault_set, value,
+                                  self.clock.lasting(time), substitute.above)
+        set_variance = self._set_variance[sensor.name]
+        if set_variance is not None:
+            set_variance(message, substitute.deviation)
+        return sensor.accessor.put(message, value)
+
+    def _fill_live(self, message: Any, sensor: Sensor, channel: Channel) -> str | None:
+        """Write what a healthy channel said last into a message."""
+        put = sensor.accessor.put
+        if self.fresh(sensor.name, self.clock.now):
+            value = self._latest[sensor.name]
+            if math.isfinite(value) and sensor.name not in self.passing:
+                value = channel.serve(REAL, (), value, self.clock.lasting())
+            return put(message, value)
+        if isinstance(sensor.accessor.get(message), float):
+            return put(message, math.nan)
+        return None  # neither known nor there
+
+    def _template(self, driver: Driver) -> Any:
+        """Return the message that a driver's are made of, decoded when it is needed."""
+        if driver.message is None:
+            if driver.raw is not None:
+                driver.message = decode(self.kind, driver.raw)
+            elif not self._stamped:
+                driver.message = self.kind()
+        return driver.message
 
 
-def _carried(arrived: Arrived, faulty: Collection[str]) -> int:
-    """Return how many healthy channels a message carries."""
-    return sum(isinstance(said, float) and name not in faulty
-               for name, said in arrived.readings.items())
-
-
-def open_streams(node: Node, group: Polled, sensors: Sequence[Sensor], max_age: int,
-                 warn: Callable[[str], None]) -> tuple[Stream, ...]:
+def open_streams(node: Node, group: Polled, sensors: Sequence[Sensor],
+                 channels: Mapping[str, Channel], clock: NodeClock,
+                 say: Callable[[str], None]) -> tuple[Stream, ...]:
     """Create the subscription and the publisher of each topic, once and for all."""
     streams = []
     for topic in dict.fromkeys(sensor.input for sensor in sensors):
         sharing = tuple(sensor for sensor in sensors if sensor.input == topic)
         kind, output = sharing[0].kind, sharing[0].output
         publisher = node.create_publisher(
-            kind, output, SPEAK,
+            kind, output, copy.copy(SPEAK), qos_overriding_options=qos_options(),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False))
         streams.append(Stream(
-            sharing, subscribe(node, group, kind, topic, LISTEN), publisher, has_stamp(kind),
-            max_age, warn))
+            sharing, tuple(channels[s.name] for s in sharing),
+            subscribe(node, group, kind, topic, LISTEN), publisher, clock, say))
     return tuple(streams)

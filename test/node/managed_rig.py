@@ -1,0 +1,125 @@
+"""A managed node as `ros2 run` has it, in threads of this process, and an engineer beside it."""
+
+from threading import Event, Thread
+import time
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Log
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Range
+from std_msgs.msg import Float64, String
+
+from vsensor_ros.node.lifecycle import ManagedNode, run_node
+
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Machine:
+    """The node, its drivers, and one who listens and calls services."""
+
+    def __init__(self, parameters):
+        self.context = Context()
+        self.context.init()
+        self.node = ManagedNode(
+            self.context, [Parameter(name, value=value) for name, value in parameters.items()])
+        self.engineer = Node('engineer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.engineer)
+        self.log = []
+        self.engineer.create_subscription(Log, '/rosout', self.log.append, QoSProfile(
+            depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        self.clients = {}
+        self.stop = Event()
+        self.exit_status = None
+        self.thread = Thread(target=self._run)
+        self.thread.start()
+
+    def _run(self):
+        self.exit_status = run_node(self.node, self.stop)
+
+    def end(self):
+        """Stop the node as a signal does; return its exit status."""
+        self.stop.set()
+        self.thread.join(10.0)
+        assert not self.thread.is_alive()
+        return self.exit_status
+
+    def close(self):
+        self.end()
+        self.executor.shutdown()
+        self.engineer.destroy_node()
+        self.context.try_shutdown()
+
+    def spin_until(self, condition, timeout=10.0):
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self.executor.spin_once(timeout_sec=0.01)
+        return True
+
+    def spin(self, seconds):
+        self.spin_until(lambda: False, seconds)
+
+    def call(self, kind, name, **fields):
+        """Call a service of the node; return the response."""
+        name = f'/replacer/{name}'
+        if name not in self.clients:
+            self.clients[name] = self.engineer.create_client(kind, name)
+        assert self.clients[name].wait_for_service(10.0), name
+        future = self.clients[name].call_async(kind.Request(**fields))
+        assert self.spin_until(future.done), name
+        return future.result()
+
+    def change(self, label):
+        """Ask for a transition; return whether it succeeded, and the state afterwards."""
+        changed = self.call(ChangeState, 'change_state', transition=Transition(label=label))
+        return changed.success, self.call(GetState, 'get_state').current_state.label
+
+    def listen(self, kind, topic, qos=10):
+        """Return the list that the messages of a topic will go to."""
+        heard = []
+        self.engineer.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def drive(self):
+        """Publish what the sensors of the plant read at rest, and its command, at 50 Hz."""
+        publishers = [(self.engineer.create_publisher(Range, f'/y{i}_raw', 10), Range(range=value))
+                      for i, value in ((1, 1.5), (2, 3.0), (3, 0.0))]
+        publishers.append((self.engineer.create_publisher(Float64, '/u1', 10), Float64(data=1.5)))
+
+        def send():
+            now = self.engineer.get_clock().now().to_msg()
+            for publisher, message in publishers:
+                if isinstance(message, Range):
+                    message.header.stamp = now
+                publisher.publish(message)
+        self.engineer.create_timer(0.02, send)
+
+    def isolate(self, names):
+        """Say which sensors are faulty, once the node hears it."""
+        if 'isolation' not in self.clients:
+            self.clients['isolation'] = self.engineer.create_publisher(String, '/isolation', KEPT)
+        self.clients['isolation'].publish(String(data=names))
+
+    def logged(self, text):
+        """Return the log lines with a text in them."""
+        return [line.msg for line in self.log if text in line.msg]
+
+
+def machines(parameters):
+    """Be the fixture that starts managed nodes with parameters beyond these; all end with it."""
+    started = []
+
+    def start(**more):
+        started.append(Machine({**parameters, 'isolation.type': 'std_msgs/msg/String',
+                                **{key.replace('__', '.'): more[key] for key in more}}))
+        return started[-1]
+    yield start
+    for machine in started:
+        machine.close()

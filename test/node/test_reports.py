@@ -1,0 +1,118 @@
+"""What is heard on the isolation topic, now and from before."""
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+RANGE = 'sensor_msgs/msg/Range'
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TEXT = {'isolation.type': 'std_msgs/msg/String'}
+
+
+def statuses(**levels):
+    return DiagnosticArray(status=[DiagnosticStatus(name=name, level=bytes([level]))
+                                   for name, level in levels.items()])
+
+
+def reported(r, *names):
+    return r.spin_until(lambda: r.replacer.switch.reported == set(names))
+
+
+def keeper(r, kind):
+    """Return a publisher whose last message is there for who comes later."""
+    publisher = r.node.create_publisher(kind, '/isolation', KEPT)
+    assert r.spin_until(lambda: publisher.get_subscription_count() == 2)
+    return publisher
+
+
+def test_isolation_by_text(rig, parameters, capfd):
+    r = rig({**parameters, **TEXT})
+    heard = r.listen(RANGE, '/y2')
+    r.step(*r.healthy(), periods=3)
+    r.say('y2, knee')
+    assert reported(r, 'y2')
+    assert "'knee' is not a sensor" in capfd.readouterr().err
+    r.step(*r.healthy(y1=0.75, y2=9.0), periods=3)
+    assert r.values(heard)[-1] == 1.5
+    r.say('')
+    assert reported(r)
+
+
+@pytest.mark.parametrize('given, kind, message', [
+    (TEXT, String, String(data='y2')), ({}, DiagnosticArray, statuses(y2=2))])
+def test_a_replacer_that_starts_during_a_fault_knows_it(rig, parameters, given, kind, message):
+    r = rig({**parameters, **given})
+    keeper(r, kind).publish(message)
+    assert reported(r, 'y2')
+    r.restart()
+    assert reported(r, 'y2')
+    r.publisher(kind, '/isolation').publish(String() if kind is String else statuses(y2=0))
+    assert reported(r)
+    r.spin(0.05)
+    assert reported(r)
+
+
+def test_history_does_not_overrule_what_is_newer(rig, parameters):
+    r = rig(parameters)
+    old = keeper(r, DiagnosticArray)
+    old.publish(statuses(y1=2, y2=2))
+    assert reported(r, 'y1', 'y2')
+    r.publisher(DiagnosticArray, '/isolation').publish(statuses(y1=0))
+    assert reported(r, 'y2')
+    # what only the transient-local subscription hears is told as if it came now, once more
+    reports = r.replacer.reports
+    for sent, what in ((reports._said['y1'] - 1, statuses(y1=2, y3=2)),
+                       (reports._said['y1'] + 1, statuses(y2=0))):
+        news = reports.late(sent, r.raw(what), frozenset({'y2'}))
+        assert news == ({'y2', 'y3'} if what.status[0].name == 'y1' else set())
+
+
+def test_a_live_message_heard_twice_counts_once(rig, parameters):
+    r = rig({**parameters, **TEXT})
+    publisher = keeper(r, String)
+    for i in range(30):
+        publisher.publish(String(data='y2' if i % 2 else ''))
+    assert reported(r, 'y2')
+    r.spin()
+    assert reported(r, 'y2') and not r.replacer.reports._heard
+
+
+def test_bytes_that_are_no_message_of_isolation(rig, parameters, capfd):
+    r = rig(parameters)
+    r.isolate('y2')
+    publisher = r.publisher(DiagnosticArray, '/isolation')
+    for raw in (b'', b'garbage', b'\x00\x01\x00\x00' + b'\xff' * 6, bytes(300_000)):
+        publisher.publish(raw)
+    r.spin(0.05)
+    assert reported(r, 'y2')
+    assert 'not a message of the type' in capfd.readouterr().err
+    r.isolate('y1')
+
+
+def test_isolation_may_chatter_without_flooding_the_log(rig, parameters, capfd):
+    r = rig({**parameters, **TEXT})
+    r.step(*r.healthy(), periods=3)
+    r.say('y2')
+    assert reported(r, 'y2')
+    r.say('["y2"]')  # not understood: y2 is no healthier for it
+    for i in range(20):
+        r.say(f'foo{i}')
+    r.spin(0.1)
+    assert reported(r, 'y2')
+    for i in range(20):
+        r.say('y1' if i % 2 else '')
+        r.spin(0.01)
+    said = capfd.readouterr().err
+    assert said.count('faulty sensors:') == 1 and said.count('is not a sensor') == 1
+    assert r.replacer.health().faulty == ('y1',)
+
+
+@pytest.mark.parametrize('topic', ['/isolation', '/diagnostics'])
+def test_a_fault_of_something_that_is_no_sensor(rig, parameters, topic, capfd):
+    r = rig({**parameters, 'isolation.topic': topic})
+    publisher = r.publisher(DiagnosticArray, topic)
+    for _ in range(5):
+        publisher.publish(statuses(Y1=2))
+        r.spin(0.02)
+    assert capfd.readouterr().err.count('is not a sensor') == (topic == '/isolation')

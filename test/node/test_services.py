@@ -1,0 +1,94 @@
+from pathlib import Path
+import sys
+
+import pytest
+from std_srvs.srv import SetBool, Trigger
+
+sys.path.append(str(Path(__file__).parent))
+from managed_rig import machines
+
+
+@pytest.fixture
+def machine(parameters):
+    yield from machines(parameters)
+
+
+@pytest.fixture
+def running(machine):
+    """Start a replacer whose sensors are all healthy and whose observers have converged."""
+    def start(**more):
+        m = machine(**more)
+        m.drive()
+        assert m.spin_until(lambda: source(m, 'y2') == 'real' and ready(m, 'y2'))
+        return m
+    return start
+
+
+def state(m, name):
+    return next(c for c in m.node.replacer.channels() if c.name == name)
+
+
+def source(m, name):
+    return m.node.replacer and state(m, name).source
+
+
+def ready(m, name):
+    with m.node.replacer.lock:
+        return m.node.replacer.bank.ready((name,), name)
+
+
+def ask(m, name, **fields):
+    response = m.call(SetBool if fields else Trigger, name, **fields)
+    return response.success, response.message
+
+
+def test_force_and_release(running):
+    m = running(recovery__policy='hold')
+    assert ask(m, 'y2/force', data=True) == (True, 'y2 is virtual: forced')
+    assert ask(m, 'y2/force', data=True)[0]  # again does no harm
+    assert ask(m, 'y2/clear') == (False, 'y2: is forced; release it')
+    assert ask(m, 'y2/force', data=False) == (True, 'y2 is real')
+    assert m.spin_until(lambda: state(m, 'y2').switches == 2)  # with the next message
+    # y3 has no virtual sensor: forcing it would only do harm
+    success, message = ask(m, 'y3/force', data=True)
+    assert not success and message.startswith('y3: cannot be forced')
+    assert source(m, 'y3') == 'real'
+
+
+def test_clear_gives_a_held_one_back_but_no_faulty_one(running):
+    m = running(recovery__policy='hold', recovery__dwell=0.0)
+    assert ask(m, 'y2/clear') == (True, 'y2 is real')  # nothing to clear
+    m.isolate('y2')
+    assert m.spin_until(lambda: source(m, 'y2') == 'virtual')
+    success, message = ask(m, 'y2/clear')
+    assert not success and message.startswith('y2: isolation still reports it faulty')
+    m.isolate('')
+    assert m.spin_until(lambda: 'y2' in m.node.replacer.switch.recovering)
+    assert source(m, 'y2') == 'virtual'
+    assert ask(m, 'y2/clear') == (True, 'y2 is real')
+
+
+def test_reset_releases_what_is_latched_or_forced(running):
+    m = running(recovery__policy='latched', recovery__dwell=0.0)
+    m.isolate('y2')
+    assert m.spin_until(lambda: source(m, 'y2') == 'virtual')
+    m.isolate('')
+    assert m.spin_until(lambda: 'y2' in m.node.replacer.switch.recovering)
+    assert ask(m, 'y2/clear') == (False, 'y2: is latched; reset the replacer')
+    assert ask(m, 'reset') == (True, 'all are real')
+    assert source(m, 'y2') == 'real'
+    assert m.spin_until(lambda: ready(m, 'y2'))
+    assert ask(m, 'y2/force', data=True)[0]
+    assert ask(m, 'reset') == (True, 'all are real')
+
+
+def test_while_it_is_not_active_nothing_is_done(running):
+    m = running()
+    m.change('deactivate')
+    for name, fields in (('y2/force', {'data': True}), ('y2/clear', {}), ('reset', {})):
+        assert ask(m, name, **fields) == (
+            False, 'the replacer is not active; activate it first')
+    assert not m.node.replacer.switch.forced
+    m.change('cleanup')
+    services = {s for s, _ in m.node.get_service_names_and_types_by_node('replacer', '/')}
+    assert not {s for s in services if '/y2/' in s or s.endswith('/reset')}

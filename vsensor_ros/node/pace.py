@@ -1,0 +1,48 @@
+"""How the loop keeps up with its rate, on a steady clock."""
+
+from __future__ import annotations
+
+from collections import deque
+import math
+import time
+
+LAST = 1000  # ticks that the figures are of
+
+
+class Pace:
+    """When the last ticks began and what they cost [ns]."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.overruns = 0  # ticks left out
+        self._begun: deque[int] = deque(maxlen=LAST)
+        self._spent: deque[int] = deque(maxlen=LAST)
+
+    def begin(self) -> None:
+        """Note that a tick begins."""
+        self.ticks += 1
+        self._begun.append(time.perf_counter_ns())
+
+    def end(self) -> None:
+        """Note that it is done."""
+        self._spent.append(time.perf_counter_ns() - self._begun[-1])
+
+    def step(self) -> tuple[float, float, float]:
+        """Return the median, the 99th percentile and the largest of the costs [s]."""
+        spent = sorted(self._spent)
+        return _part(spent, 0.5), _part(spent, 0.99), _part(spent, 1.0)
+
+    def achieved(self) -> float:
+        """Return the rate of the last ticks [Hz]; NaN before there are two."""
+        if len(self._begun) < 2 or self._begun[-1] == self._begun[0]:
+            return math.nan
+        return (len(self._begun) - 1) / ((self._begun[-1] - self._begun[0]) * 1e-9)
+
+    def jitter(self, period: int) -> float:
+        """Return the 99th percentile of how far intervals are from the period [s]."""
+        begun = list(self._begun)
+        return _part(sorted(abs(b - a - period) for a, b in zip(begun, begun[1:])), 0.99)
+
+
+def _part(ordered: list[int], part: float) -> float:
+    return ordered[round(part * (len(ordered) - 1))] * 1e-9 if ordered else math.nan

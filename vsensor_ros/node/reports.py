@@ -1,0 +1,94 @@
+"""
+The isolation topic: what is heard now, and what was said before this node was there.
+
+A transient-local publisher repeats its last messages to who comes later, but only to transient-
+local subscriptions, which in turn do not hear volatile publishers; so there are two subscriptions.
+What both hear is live. What only the transient-local one hears is history: it counts for the
+sensors of which nothing newer was heard, by the times at which the messages were sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from std_msgs.msg import String
+
+from vsensor_ros.node import isolation
+from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.polling import DEPTH, drain, LISTEN_RELIABLY, Polled, subscribe
+
+LATE = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE,
+                  durability=DurabilityPolicy.TRANSIENT_LOCAL)
+MOST = 50  # messages looked at in one poll; the rest wait
+UNREADABLE = 'bytes that are not a message of the type'
+_TWICE = 4 * DEPTH  # live messages remembered until the other subscription has heard them, too
+
+
+class Reports:
+    """What isolation says, from both subscriptions."""
+
+    def __init__(self, node: Node, group: Polled, topic: str, kind: Any,
+                 sensors: Collection[str], shared: bool, say: Callable[[str], None]) -> None:
+        """Open the topic; shared: others speak there of other things, too. say: an error."""
+        self.kind, self.topic = kind, topic
+        self._sensors, self._shared, self._say = sensors, shared, say
+        self._live = subscribe(node, group, kind, topic, LISTEN_RELIABLY)
+        # the parameters of the topic's QoS are those of the other one
+        self._late = subscribe(node, group, kind, topic, LATE, overridden=False)
+        self.subscriptions: tuple[Subscription, ...] = (self._live, self._late)
+        self._heard: dict[tuple[int, bytes], None] = {}
+        self._said: dict[str, int] = {}  # by sensor: when its last message was sent
+        self._allowance = isolation.Allowance()
+
+    def take(self, faulty: frozenset[str]) -> frozenset[str]:
+        """Return the faulty sensors after all that has arrived."""
+        for raw, info in drain(self._live, MOST):
+            sent = info['source_timestamp']
+            if len(self._heard) >= _TWICE:
+                del self._heard[next(iter(self._heard))]
+            self._heard[sent, raw] = None
+            faulty = self._apply(raw, sent, faulty, self._sensors)
+        late = [(info['source_timestamp'], raw) for raw, info in drain(self._late, MOST)]
+        for sent, raw in sorted(late):
+            if (sent, raw) in self._heard:
+                del self._heard[sent, raw]
+            else:
+                faulty = self.late(sent, raw, faulty)
+        return faulty
+
+    def late(self, sent: int, raw: bytes, faulty: frozenset[str]) -> frozenset[str]:
+        """Apply a message, sent then, that only who comes late was told."""
+        news = {s for s in self._sensors if self._said.get(s, 0) < sent}
+        return faulty - news | self._apply(raw, sent, faulty, news) & news
+
+    def _apply(self, raw: bytes, sent: int, faulty: frozenset[str],
+               about: Collection[str]) -> frozenset[str]:
+        """Return the faulty sensors after a message; note for those it speaks of when it was."""
+        self._allowance, refused = self._allowance.admit(len(raw), time.monotonic_ns())
+        message = None if refused else decode(self.kind, raw)
+        if message is None:
+            said = isolation.Isolation(faulty, (refused or UNREADABLE,))
+            spoken: Collection[str] = ()
+        elif isinstance(message, DiagnosticArray):
+            said = isolation.from_statuses(((s.name, s.level) for s in message.status),
+                                           self._sensors, faulty, self._shared)
+            spoken = {s.name for s in message.status}.intersection(about)
+        else:
+            said = isolation.from_text(message.data, self._sensors, faulty)
+            spoken = about
+        for name in spoken:
+            self._said[name] = max(sent, self._said.get(name, 0))
+        if said.problems:
+            self._say(f'{self.topic}: {"; ".join(said.problems)}')
+        return said.faulty
+
+
+def kind_of(type_name: str, diagnostics: str) -> Any:
+    """Return the message class of an isolation topic."""
+    return DiagnosticArray if type_name == diagnostics else String

@@ -1,0 +1,214 @@
+"""
+What the replacer says of itself, on ``~/status``, on ``/diagnostics`` and in the log.
+
+On change and at 1 Hz, in the executor's thread: a snapshot is taken under the replacer's lock,
+which is cheap; the messages are made of it outside, so that the loop never waits for words.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from vsensor_ros.node.diagnostics import (
+    channel_facts,
+    describe,
+    describe_loop,
+    encode,
+    Lately,
+    LOOP,
+    number,
+    Report,
+    Scene,
+)
+from vsensor_ros.node.graph import Complaint, complaints, ends_of
+from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
+from vsensor_ros.node.replacer import Replacer
+from vsensor_ros.node.state import ChannelState, Health
+
+PERIOD = 1.0  # s between two reports when nothing changes
+SOONEST = 0.1  # s between two reports, however much changes
+LOOK = 2.0  # s between two looks at the graph
+MOST_LINES = 10  # in the log after one look
+MOST_TOLD = 1000  # complaints that are remembered, not to be said again
+QUIET = 5.0  # s between two log lines that say the same of a channel
+NODE = 'replacer'  # name of the status that is about no channel, on ~/status
+
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late joiners see it
+
+
+class Reporter:
+    """Tells what a replacer does, from when it is configured until it is cleaned up."""
+
+    def __init__(self, node: Node, replacer: Replacer) -> None:
+        self.node, self.replacer = node, replacer
+        self.active = False
+        self.ends = ends_of(replacer.settings)
+        self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
+        self.found: tuple[Complaint, ...] = ()  # on the graph, at the last two looks
+        self._suspected: set[Complaint] = set()  # at the last look
+        self._told: set[Complaint] = set()
+        self._lately = Lately()
+        self._spoken: dict[tuple[str, str], float] = {}  # by channel and source: when logged
+        self._logged: dict[str, str] = {}  # by channel: the source logged last
+        self._reported = 0.0
+        self._hurried = False
+        self.status = node.create_publisher(
+            DiagnosticArray, STATUS, _copy(KEPT), qos_overriding_options=qos_options())
+        self.diagnostics = node.create_publisher(
+            DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10),
+            qos_overriding_options=qos_options())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on when simulated time stops
+        self._timers = [node.create_timer(PERIOD, self.report, clock=steady),
+                        node.create_timer(LOOK, self.look_around, clock=steady)]
+        self._guard = node.create_guard_condition(self._hurry)
+        replacer.changed = self._guard.trigger
+
+    def turn(self, active: bool) -> None:
+        """Tell from now on that it is active, or not; what was lately is no matter then."""
+        self.active, self._lately = active, Lately()
+
+    def close(self) -> None:
+        """Close the topics."""
+        self.replacer.changed = _nothing
+        for timer in self._timers:
+            self.node.destroy_timer(timer)
+        self.node.destroy_guard_condition(self._guard)
+        for publisher in (self.status, self.diagnostics):
+            self.node.destroy_publisher(publisher)
+
+    def _hurry(self) -> None:
+        """Report a change at once, or as soon as one may."""
+        wait = self._reported + SOONEST - time.monotonic()
+        if wait <= 0.0:
+            self.report()
+        elif not self._hurried:
+            self._hurried = True
+            self._every(wait)
+
+    def _every(self, period: float) -> None:
+        timer = self._timers[0]
+        timer.timer_period_ns = round(period * 1e9)
+        timer.reset()
+
+    def report(self) -> None:
+        """Tell how things are now."""
+        if self._hurried:
+            self._hurried = False
+            self._every(PERIOD)
+        now = self._reported = time.monotonic()
+        with self.replacer.lock:
+            channels, health = self.replacer.channels(), self.replacer.health()
+        scene = self._scene(channels, health, now)
+        sharing = defaultdict(set)
+        for channel in channels:
+            sharing[channel.topic].add(channel.name)
+        reports = [describe(c, scene, sharing[c.topic]) for c in channels] if self.active else []
+        loop = describe_loop(health, self.active, self._lately.grown(LOOP, health.overruns, now),
+                             self._about(None))
+        stamp = self.node.get_clock().now().nanoseconds
+        prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
+        told = list(zip(channels, reports))
+        pace = _health_facts(health, loop.source)
+        self.status.publish(encode(
+            [*((c.name, r, _status_facts(c)) for c, r in told), (NODE, loop, pace)], stamp))
+        self.diagnostics.publish(encode(
+            [*((prefix + c.name, r, channel_facts(c, scene)) for c, r in told),
+             (prefix + LOOP, loop, pace)], stamp))
+        for told_now in reports:
+            self._log(told_now, now)
+
+    def _scene(self, channels: list[ChannelState], health: Health, now: float) -> Scene:
+        settings = self.replacer.settings
+        return Scene(
+            self.node.get_fully_qualified_name(), settings.design, self.replacer.live.policies,
+            health.faulty, {c.name: self._about(c.name) for c in channels},
+            {c.name: self._lately.grown(c.name, c.switches, now) for c in channels})
+
+    def _about(self, name: str | None) -> list[str]:
+        """Return what was found on the graph about a channel; None: about no channel."""
+        return [str(c) for c in self.found if (
+            c.topic in self.topics[name] if name
+            else not any(c.topic in topics for topics in self.topics.values()))]
+
+    def _log(self, report: Report, now: float) -> None:
+        """Log a change of source; of what toggles, no more than a line a while."""
+        before = self._logged.get(report.name)
+        key = report.name, report.source
+        if before == report.source or now < self._spoken.get(key, 0.0):
+            return
+        self._logged[report.name], self._spoken[key] = report.source, now + QUIET
+        line, log = f'{report.name}: {report.message}', self.node.get_logger()
+        if report.source == 'none':  # rclpy allows one severity a line of code
+            log.error(line)
+        elif report.source == 'virtual' or (report.source == 'silent' and before):
+            log.warning(line)
+        elif before:
+            log.info(line)
+
+    def look_around(self) -> None:
+        """Look at the graph; what is wrong at two looks is said: half discovered looks wrong."""
+        seen = set(complaints(self.node, self.ends))
+        self.found = tuple(sorted(seen & self._suspected, key=str))
+        for complaint in [c for c in self.found if c not in self._told][:MOST_LINES]:
+            self.node.get_logger().error(str(complaint))
+            self._told.add(complaint)
+        if len(self._told) > MOST_TOLD:  # they come from outside
+            self._told.clear()
+        self._suspected = seen
+
+
+def _nothing() -> None:
+    """Nobody wants to know any more."""
+
+
+def _copy(qos: QoSProfile) -> QoSProfile:
+    """Return a profile for rclpy to write overrides into."""
+    return QoSProfile(depth=qos.depth, durability=qos.durability, reliability=qos.reliability)
+
+
+def _status_facts(channel: ChannelState) -> Mapping[str, object]:
+    """Return the state of a channel for programs; the keys are part of the interface."""
+    return {
+        'source': channel.source,
+        'valid': str(channel.source in ('real', 'virtual')).lower(),
+        'fault_set': ' '.join(channel.fault_set),
+        'grade': channel.grade,
+        'value': number(channel.value),
+        'unit': channel.unit,
+        'deviation': number(channel.deviation),
+        'offset': number(channel.offset),
+        'switches': channel.switches,
+        'last_step': number(channel.last_step),
+        'virtual_s': f'{channel.virtual_s:.3f}',
+        'since_s': f'{channel.since_s:.3f}',
+        'forced': str(channel.forced).lower(),
+        'recovering_s': f'{channel.recovering_s:.3f}',
+        'readings_hz': number(channel.rate_hz),
+        'not_used': sum(channel.counts.values()),
+        'reason': channel.reason,
+    }
+
+
+def _health_facts(health: Health, state: str) -> Mapping[str, object]:
+    """Return how the loop keeps up, for programs."""
+    return {
+        'state': state,
+        'rate': number(health.rate),
+        'achieved': number(health.achieved),
+        'step_p50': number(health.step_p50),
+        'step_p99': number(health.step_p99),
+        'step_max': number(health.step_max),
+        'jitter_p99': number(health.jitter_p99),
+        'overruns': health.overruns,
+        'ticks': health.ticks,
+        'estimates': health.estimates,
+        'faulty': ' '.join(health.faulty),
+        **{f'clock_{way.replace(" ", "_")}': count for way, count in health.jumps.items()},
+    }
