@@ -28,10 +28,11 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (share, ['package.xml']),
         *files_below('config'),
+        *files_below('launch'),
         # `ros2 run` looks here. pip would put entry points into bin/ only, whatever setup.cfg
         # says, so that what both installers have in common is a file copied to its place.
-        (f'lib/{package_name}',
-         ['scripts/demo', 'scripts/designer', 'scripts/player', 'scripts/replacer']),
+        (f'lib/{package_name}', [f'scripts/{name}' for name in (
+            'demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer')]),
     ],
     # On the PATH: the two that have a name worth a place there.
     entry_points={

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('demo', 'designer', 'player', 'replacer')
+COMMANDS = ('demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'catalogue', 'expression', 'nonlinearity', 'whole_file'}
@@ -60,7 +60,8 @@ def room_of(path):
 
 
 def is_ros(name):
-    return name in ('rclpy', 'ament_index_python') or name.endswith(('_msgs', '_interfaces'))
+    return name in ('rclpy', 'ament_index_python') or name.endswith(
+        ('_msgs', '_srvs', '_interfaces'))
 
 
 def files_below(folder):
@@ -73,7 +74,7 @@ def copy_of_sources(folder):
     folder.mkdir(parents=True)
     for name in ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'LICENSE'):
         shutil.copy2(ROOT / name, folder)
-    for name in ('vsensor_ros', 'resource', 'config', 'scripts'):
+    for name in ('vsensor_ros', 'resource', 'config', 'launch', 'scripts'):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns('__pycache__'))
     return folder
 
@@ -85,8 +86,8 @@ def assert_placed(prefix):
     executables = {path.name for path in (prefix / 'lib/vsensor_ros').iterdir()
                    if os.access(path, os.X_OK)}
     assert executables == set(COMMANDS)
-    placed = prefix / 'share/vsensor_ros/config'
-    assert files_below(placed) == files_below(ROOT / 'config')
+    for folder in ('config', 'launch'):
+        assert files_below(prefix / 'share/vsensor_ros' / folder) == files_below(ROOT / folder)
     library = next(prefix.glob('lib/python*/site-packages'))
     assert files_below(library / 'vsensor_ros') == files_below(PACKAGE)
     return library
@@ -142,6 +143,14 @@ def test_import_arrows(path):
     assert rooms <= ARROWS[room] | {room}
     if room not in WITH_ROS:
         assert not any(is_ros(name.split('.')[0]) for name in imported)
+
+
+@pytest.mark.parametrize('path', [p for p in SOURCES if p.parent.name == 'injection'],
+                         ids=lambda path: path.name)
+def test_faults_are_injected_from_outside(path):
+    """What judges a replacer shares nothing with it but the access to fields of messages."""
+    assert {name for name in imports_of(path) if name.startswith(
+        ('vsensor_ros.node', 'vsensor_ros.bank'))} <= {'vsensor_ros.node.accessor'}
 
 
 def test_core_runs_without_ros():

@@ -1,18 +1,26 @@
 """The demo: its summary, its refusals, and one short failover in real processes."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 
-from vsensor_ros.command import show
+from vsensor_ros.command import failover, show
 from vsensor_ros.command.demo import main
-from vsensor_ros.command.failover import reserved_domain
-from vsensor_ros.command.show import Result, Row, table, write_summary
+from vsensor_ros.command.failover import reserved_domain, Run
+from vsensor_ros.command.show import Result, Row, table, told_of, write_summary
+from vsensor_ros.command.wiring import read_wiring
 from vsensor_ros.simulate import scenario
+from vsensor_ros.simulate.fault import Channel, freeze
+from vsensor_ros.simulate.judge import Heard
 from vsensor_ros.simulate.recording import NoRecording
+from vsensor_ros.virtual_sensor import Design, VirtualSensor
 
 CONFIG = Path(__file__).parents[2] / 'config'
 GOOD = Row('tank', 'y1', 2, 4.25, 0.0012, 0.61, 'm')
@@ -52,6 +60,22 @@ def test_a_missing_recording_is_said_and_not_counted(tmp_path, capsys, monkeypat
     assert json.loads((tmp_path / 'summary.json').read_text()) == []
 
 
+def test_what_the_replacer_says_of_itself_is_set_against_the_truth():
+    time = np.arange(0.0, 10.0, 0.1)
+    truth = Channel.of(time, 2.0 * time)
+    played = SimpleNamespace(
+        unit='m', failed_sensor='y', truth=truth, isolated_at=7.05, end=9.9,
+        channels={'y': freeze(truth, 4.05)})  # at 8 m
+    late = time > 7.05
+    error = np.where(time > 9.05, 0.3, 0.01)[late]  # 9 of 29 are out
+    run = Run(Heard(time[late], truth.value[late] + error, time[late] - 7.05), True, -6.0,
+              np.array([[7.0, 0.1], [10.0, 0.1]]))
+    assert told_of(played, run) == [
+        'step at the switch 6 m; the sensor was 6.1 m off the truth by then',
+        'standard deviation given: 0.1 m; 69 % of the estimates are within two of it']
+    assert told_of(played, replace(run, step=float('nan'), deviation=np.empty((0, 2)))) == []
+
+
 def test_domains_are_reserved_once():
     with reserved_domain() as one, reserved_domain() as two:
         assert one != two
@@ -59,13 +83,13 @@ def test_domains_are_reserved_once():
 
 @pytest.fixture
 def short_servo(tmp_path, monkeypatch):
-    """Let the servo fail within three seconds, in a config folder of its own."""
+    """Let the servo fail once its observer has converged, in a config folder of its own."""
     folder = tmp_path / 'config' / 'servo'
     shutil.copytree(CONFIG / 'servo', folder)
     content = yaml.safe_load((folder / 'demo.yaml').read_text())
-    content |= {'isolated_at': 1.5, 'faults': [{'kind': 'freeze', 'start': 1.0},
-                                               {'kind': 'drop_out', 'start': 2.0}]}
-    content['simulation'] |= {'duration': 3.0, 'initial': {},
+    content |= {'isolated_at': 2.8, 'faults': [{'kind': 'freeze', 'start': 2.4},
+                                               {'kind': 'drop_out', 'start': 3.4}]}
+    content['simulation'] |= {'duration': 4.2, 'initial': {},
                               'inputs': {'voltage': '8*sin(2*t + 1)'}}
     content['bar']['rmse'] = 0.1    # on a busy machine too
     (folder / 'demo.yaml').write_text(yaml.safe_dump(content))
@@ -73,14 +97,47 @@ def short_servo(tmp_path, monkeypatch):
     return tmp_path / 'build'
 
 
-def test_a_failover_in_real_processes(short_servo, capsys):
+def curves(array, topic):
+    """Return what PlotJuggler calls the series of a DiagnosticArray."""
+    return {'/'.join(filter(None, (topic, s.hardware_id, s.name, value.key)))
+            for s in array.status for value in s.values}
+
+
+def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
+    statuses = []
+
+    def read_status(array):
+        statuses.append(array)
+        return failover_reads(array)
+    failover_reads = failover.read_status
+    monkeypatch.setattr(failover, 'read_status', read_status)
     code = main(['--output', str(short_servo)])
     said = capsys.readouterr().out
     assert code == 0, said
     assert 'the replacer speaks for it' in said
+    assert '  step at the switch 0.' in said and 'of the estimates are within two of it' in said
     [record] = json.loads((short_servo / 'summary.json').read_text())
     assert record['system'] == 'servo' and record['rmse'] < 0.2 * record['rmse_hold']
     assert (short_servo / 'servo.png').read_bytes().startswith(b'\x89PNG')
+    assert_plots({*curves(statuses[0], '/replacer/status'), *curves(statuses[-1],
+                 '/replacer/status')}, Design.load(short_servo / 'servo.design.json'))
+
+
+def assert_plots(known, design):
+    """Check that each curve of the layout for PlotJuggler is of something that is published."""
+    known |= {f'/replacer/estimates/{name}/{key}' for (_, name), entry in design.entries.items()
+              if isinstance(entry, VirtualSensor) for key in ('value', 'deviation', 'offset')}
+    for port in read_wiring(CONFIG / 'servo' / 'replacer.yaml').ports.values():
+        array, _, joint = port.field.path.partition('[')
+        known |= {f'{topic}/{joint[:-1]}/{array}' for topic in (port.source, port.output)}
+    root = ElementTree.parse(CONFIG / 'plotjuggler.xml').getroot()
+    plotted = {curve.get('name') for curve in root.iter('curve')}
+    assert len(plotted) > 15 and plotted <= known, plotted - known
+    for splitter in root.iter('DockSplitter'):
+        count = int(splitter.get('count'))
+        assert len(splitter) == len(splitter.get('sizes').split(';')) == count
+    topics = root.find('Plugins/plugin/selected_topics').get('value').split(';')
+    assert all(any(name.startswith(f'{topic}/') for topic in topics) for name in plotted)
 
 
 def test_a_replacer_that_dies_fails_the_demo(short_servo, capsys):

@@ -18,6 +18,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
+from numpy.typing import NDArray
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
@@ -26,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from vsensor_ros.command.play import LATCHED, START_TOPIC, to_stamp
 from vsensor_ros.command.player import LATE_CODE
+from vsensor_ros.command.screen import read_status, Told
 from vsensor_ros.command.wiring import read_wiring, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp
 from vsensor_ros.simulate.judge import Heard
@@ -52,6 +54,22 @@ class Moment:
     isolated: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Run:
+    """
+    A failover that is over.
+
+    `in_time` tells whether the machine was played in time. If not (this computer was too busy),
+    commands without a stamp took effect later than in the truth. `step` is the replacer's own
+    word on its switch (NaN: none), `deviation` on its estimates: rows of time, standard deviation.
+    """
+
+    heard: Heard
+    in_time: bool
+    step: float
+    deviation: NDArray[np.float64]
+
+
 @contextmanager
 def reserved_domain() -> Iterator[int]:
     """Yield a ROS domain that no other demo or test on this machine uses meanwhile."""
@@ -67,12 +85,9 @@ def reserved_domain() -> Iterator[int]:
 
 
 def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
-              progress: Callable[[Moment], None]) -> tuple[Heard, bool]:
+              progress: Callable[[Moment], None]) -> Run:
     """
     Run a scenario in real processes; return what was heard on the failed sensor's topic.
-
-    The second value tells whether the machine was played in time. If not (this computer was too
-    busy), commands without a stamp took effect later than in the truth.
 
     `config` is the system's folder, `work` an existing folder for the table and the logs, whose
     names begin with that of the system. Raise Failed.
@@ -102,9 +117,10 @@ def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
         _wait(listener.started, [replacer, player])
         heard = listener.listen([replacer, player], progress)
         try:
-            return heard, player.popen.wait(5.0) != LATE_CODE
+            in_time = player.popen.wait(5.0) != LATE_CODE
         except subprocess.TimeoutExpired:
-            return heard, False
+            in_time = False
+        return Run(heard, in_time, listener.step, np.array(listener.deviation).reshape(-1, 2))
 
 
 class _Listener:
@@ -118,11 +134,15 @@ class _Listener:
         self.output = node.create_subscription(self.port.kind, self.port.output, _ignore,
                                                QoSProfile(depth=1000))
         self.start = node.create_subscription(Time, START_TOPIC, _ignore, LATCHED)
+        self.status = node.create_subscription(DiagnosticArray, '/replacer/status', _ignore,
+                                               LATCHED)
         self.isolation = node.create_publisher(wiring.isolation_kind, wiring.isolation, 10)
         self.node = node
         self.origin = 0     # ns, the stamp of the table's first row
         self.began = 0.0    # s, the wall's monotonic time of it
         self.heard: list[tuple[float, float, float]] = []
+        self.step = np.nan
+        self.deviation: list[tuple[float, float]] = []
 
     def ready(self) -> bool:
         return (self.isolation.get_subscription_count() > 0
@@ -145,6 +165,13 @@ class _Listener:
             message.data = name
         self.isolation.publish(message)
 
+    def note(self, told: Told, now: float) -> None:
+        """Note what the replacer says of the estimates that go out for the failed sensor."""
+        for channel in told.channels:
+            if channel.name == self.scenario.failed_sensor and channel.source == 'virtual':
+                self.step = channel.number('last_step')
+                self.deviation.append((now, channel.number('deviation')))
+
     def listen(self, processes: list[_Process],
                progress: Callable[[Moment], None]) -> Heard:
         scenario = self.scenario
@@ -162,6 +189,8 @@ class _Listener:
                 if isinstance(value, float):
                     stamp = scenario.start + 1e-9 * (get_stamp(message) - self.origin)
                     self.heard.append((stamp, value, time.monotonic()))
+            for message in _take(self.status):
+                self.note(read_status(message), now)
             if wall - shown > 0.1:
                 shown = wall
                 value = self.heard[-1][1] if self.heard else np.nan

@@ -17,8 +17,13 @@ WORDS = {'freeze': 'frozen', 'drop_out': 'silent', 'not_a_number': 'NaN'}
 TRUTH, RAW, NEW, HOLD = '#9a9a9a', '#c0392b', '#1f5fbf', '#e08a1e'
 
 
-def draw(scenario: Scenario, heard: Heard, verdict: Verdict, path: Path) -> None:
-    """Write a PNG: above what was said and what was true, below the errors against the bar."""
+def draw(scenario: Scenario, heard: Heard, deviation: NDArray[np.float64], verdict: Verdict,
+         path: Path) -> None:
+    """
+    Write a PNG: above what was said and what was true, below the errors against the bar.
+
+    `deviation`, rows of time and standard deviation, is what the replacer said of its error.
+    """
     name, unit = scenario.failed_sensor, scenario.unit
     raw = scenario.channels[name]
     new = replaced(scenario, heard)
@@ -58,6 +63,10 @@ def draw(scenario: Scenario, heard: Heard, verdict: Verdict, path: Path) -> None
     held = _running_rms(scenario.trusted - true_value[after])
     below.semilogy(true_time[after], held, color=HOLD, lw=1.5, ls='--')
     below.semilogy(heard.time[new], _running_rms(heard.value[new] - truth), color=NEW, lw=2)
+    if len(deviation):
+        below.plot(*deviation.T, color=NEW, lw=1, ls='--')
+        below.text(*deviation[-1], 'standard deviation given with it ', color=NEW, ha='right',
+                   va='top' if deviation[-1, 1] < scenario.bar else 'bottom')
     below.axhline(scenario.bar, color='black', lw=1)
     below.text(view[0], scenario.bar, f' RMSE allowed: {scenario.bar:.2g} {unit}', va='bottom')
     below.set_ylabel(f'error, running RMS [{unit}]')

@@ -12,7 +12,8 @@ from threading import Event
 
 USAGE = 'usage: replacer --ros-args --params-file replacer.yaml'
 ROS = ('rclpy', 'ament_index_python', 'builtin_interfaces.msg', 'diagnostic_msgs.msg',
-       'rcl_interfaces.msg', 'rosgraph_msgs.msg', 'std_msgs.msg')
+       'lifecycle_msgs.msg', 'rcl_interfaces.msg', 'rosgraph_msgs.msg', 'std_msgs.msg',
+       'std_srvs.srv')
 
 
 def prepare_environment() -> None:
@@ -55,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     # loaded only now, so that a signal meanwhile ends it as quietly as any other
     if not find_ros('replacer'):
         return 2
-    from vsensor_ros.node.replacer import start
+    from vsensor_ros.node.lifecycle import start
     return start(arguments, stop)
 
 

@@ -15,11 +15,11 @@ import time
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.failover import fail_over, Failed, Moment
+from vsensor_ros.command.failover import fail_over, Failed, Moment, Run
 from vsensor_ros.command.picture import draw
 from vsensor_ros.designer import design
 from vsensor_ros.plant import load_plant
-from vsensor_ros.simulate.judge import judge
+from vsensor_ros.simulate.judge import judge, replaced
 from vsensor_ros.simulate.recording import NoRecording
 from vsensor_ros.simulate.scenario import load_scenario, Scenario
 from vsensor_ros.virtual_sensor import Refusal
@@ -96,16 +96,38 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
 
     for last in (False, True):
         update('starting the replacer and the machine')
-        heard, in_time = fail_over(scenario, folder, design_file, output, progress)
-        verdict = judge(scenario, heard)
-        if verdict.passed or in_time or last:
+        run = fail_over(scenario, folder, design_file, output, progress)
+        verdict = judge(scenario, run.heard)
+        if verdict.passed or run.in_time or last:
             break
         say('  this computer was too busy to play the machine in time: once more')
+    for line in told_of(scenario, run):
+        say(f'  {line}')
     update('drawing the picture')
-    draw(scenario, heard, verdict, output / f'{system}.png')
+    draw(scenario, run.heard, run.deviation, verdict, output / f'{system}.png')
     row = Row(system, failed, virtual.order, verdict.latency_ms, verdict.rmse, verdict.rmse_hold,
               scenario.unit)
     return Result(row, scenario.bar, scenario.bar_text, verdict.passed)
+
+
+def told_of(scenario: Scenario, run: Run) -> list[str]:
+    """Set what the replacer said of its switch and of its error against the truth."""
+    lines, unit, truth = [], scenario.unit, scenario.truth
+    if math.isfinite(run.step):
+        raw = scenario.channels[scenario.failed_sensor]
+        said = raw.sent & (raw.time <= scenario.isolated_at) & np.isfinite(raw.value)
+        off = abs(raw.value[said][-1] - np.interp(scenario.isolated_at, truth.time, truth.value))
+        lines.append(f'step at the switch {abs(run.step):.2g} {unit}; the sensor was {off:.2g} '
+                     f'{unit} off the truth by then')
+    new = replaced(scenario, run.heard)
+    if new.any() and len(run.deviation):
+        time, value = run.heard.time[new], run.heard.value[new]
+        error = np.abs(value - np.interp(time, truth.time, truth.value))
+        deviation = np.interp(time, *run.deviation.T)
+        within = f'{100.0 * np.mean(error <= 2.0 * deviation):.0f} %'
+        lines.append(f'standard deviation given: {np.median(deviation):.2g} {unit}; {within} '
+                     'of the estimates are within two of it')
+    return lines
 
 
 _WORDS = {'freeze': 'frozen', 'drop_out': 'silent', 'not_a_number': 'NaN', 'bias': 'biased',
