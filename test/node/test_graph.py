@@ -44,6 +44,7 @@ def open_ours(node):
     node.create_subscription(Float64, '/y_raw', print, BEST_EFFORT)
     node.create_publisher(Float64, '/y', RELIABLE)
     node.create_subscription(String, '/isolation', print, RELIABLE)
+    node.create_subscription(String, '/isolation', print, KEPT)  # the replacer has both
     return node
 
 
@@ -51,6 +52,8 @@ def test_those_that_fit_are_not_complained_of(nodes):
     node, other = open_ours(nodes('replacer')), nodes('other')
     for qos in (RELIABLE, BEST_EFFORT, KEPT):
         other.create_publisher(Float64, '/y_raw', qos)
+    other.create_publisher(String, '/isolation', RELIABLE)
+    other.create_publisher(String, '/isolation', KEPT)
     other.create_subscription(Float64, '/y', print, BEST_EFFORT)
     wrong = other.create_publisher(Float64, '/y', RELIABLE)
     say(node, 1)  # by now all is known
