@@ -18,6 +18,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
+import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.failover import reserved_domain
@@ -126,3 +127,21 @@ def test_delays_are_told(node, monkeypatch):
     late = play(node, {'T1': Channel.of(TIME, np.arange(30.0))},
                 {'T1': replace(ports['T1'], field=field)}, 1.0)
     assert late > 0.03 and len(list(taken(readings))) == 30
+
+
+@pytest.mark.parametrize('name', ['/**', '/robot/replacer', 'robot'])
+def test_whatever_way_a_parameter_file_names_the_node(tmp_path, name):
+    shipped = CONFIG / 'servo' / 'replacer.yaml'
+    root = yaml.safe_load(shipped.read_text())
+    parameters = root['replacer']['ros__parameters']
+    for group in ('sensors', 'commands'):  # as ros2 param dump does not write it, but ROS reads it
+        for channel, entry in parameters.pop(group).items():
+            parameters.update({f'{group}.{channel}.{key}': x for key, x in entry.items()})
+    path = tmp_path / 'replacer.yaml'
+    path.write_text(yaml.safe_dump({name: root if name == 'robot' else root['replacer']}))
+    ports, expected = read_wiring(path).ports, read_wiring(shipped).ports
+    assert {n: (p.source, p.output, p.field.path) for n, p in ports.items()} == {
+        n: (p.source, p.output, p.field.path) for n, p in expected.items()}
+    path.write_text('{other: {ros__parameters: {}}}')
+    with pytest.raises(BadInput, match='give replacer: ros__parameters'):
+        read_wiring(path)
