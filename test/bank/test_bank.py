@@ -79,10 +79,10 @@ def test_a_command_acts_from_its_stamp(bench):
     for rate in (50, 100, 200):
         bank = Bank(bench.design(v, inputs=('u',)), rate)
         bank.take('u', 0, 0.0)
-        bank.take('u', 123_456_789, 1.0)  # between two grid times
+        bank.take('u', 83_456_789, 1.0)  # between two grid times
         for k in range(rate // 2 + 1):
             bank.advance(k * bank.period)
-        truth = (1 - np.exp(-8 * (0.5 - 0.123456789))) / 8
+        truth = (1 - np.exp(-8 * (0.5 - 0.083456789))) / 8
         e.append(abs(bank.estimate(*KEY) - truth))
     assert max(e) < 2e-6
     assert e[2] < e[0] / 8
@@ -221,6 +221,17 @@ def test_refuses_and_counts_what_is_no_reading(filter_of):
     assert bank.take('a', 20 * MS, 1.0) is None
     with pytest.raises(KeyError):
         bank.take('nobody', 30 * MS, 1.0)
+
+
+def test_a_stamp_a_little_ahead_shuts_a_sensor_out_for_no_longer(filter_of):
+    bank = Bank(filter_of('a'), 100, max_age=5.0)
+    for now in range(0, 1000, 10):
+        bank.take('a', now * MS, 1.0, now * MS)
+        bank.advance(now * MS)
+    assert bank.take('a', 1150 * MS, 55.0, 1000 * MS) == 'stamp ahead of the clock'
+    assert bank.take('a', 1090 * MS, 1.0, 1000 * MS) is None
+    assert bank.take('a', 1100 * MS, 1.0, 1100 * MS) is None
+    assert bank.refused == {('a', 'stamp ahead of the clock'): 1}
 
 
 def test_a_stamp_from_the_future_before_the_first_tick_does_no_harm(filter_of):

@@ -1,5 +1,7 @@
 """How a virtual sensor forgets its start, against closed forms and simulation."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,50 @@ def test_what_is_not_known_is_infinite(bench):
     assert (static.warm_up, static.deviation(0.0)) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize('rate', [1e-308, 1e-20])
+def test_a_rate_that_is_none_is_never_warm(bench, rate):
+    v = bench.virtual_sensor([[-4.0]], [[0.0]], P=[[-1.0]], Gz=[[[1.0]]], Gy=[[[0.0]]],
+                             texts=['tanh(w1)'], start=np.eye(1), noise=noise(0.0),
+                             certificate=Certificate('global', rate, 1.0, np.eye(1), (), None, ''))
+    assert converge(v).warm_up == np.inf and converge(v).deviation(1e9) == np.inf
+    assert converge(bench.virtual_sensor([[-rate]], [[1.0]])).warm_up == np.inf
+
+
+def test_a_region_counts_only_where_start_and_arguments_lie_within(bench):
+    def made(width, rate=0.5):
+        return bench.virtual_sensor(
+            [[-4.0]], [[4.0]], P=[[1.0]], Gz=[[[1.0]]], Gy=[[[0.5]]], texts=['tanh(w1)'],
+            start=np.eye(1), noise=noise(0.0), certificate=Certificate(
+                'region', rate, 1.0, np.eye(1), (('x1', -width, width),), None, ''))
+    assert converge(made(1.0)).proved  # an error of at most sqrt(3)
+    assert not converge(made(0.8)).proved
+    assert converge(made(0.8)).warm_up == pytest.approx(np.log(100) / 0.5, rel=0.02)
+    assert converge(made(0.8, 9.0)).warm_up == pytest.approx(np.log(100) / 4, rel=0.02)
+    bank = Bank(bench.design(made(1.0)), 100)
+    assert not bank.outside_region(*KEY)
+    for now in range(0, 2000, 10):
+        bank.take('y2', now * MS, 0.2 if now < 1000 else 2.0)
+        bank.advance(now * MS)
+        if now in (990, 1990):
+            assert bank.outside_region(*KEY) is (now > 1000)
+
+
+def test_many_modes_that_swing_need_a_bounded_table(bench):
+    k = 60
+    N = np.zeros((k, k))
+    for i in range(0, k, 2):
+        N[i:i + 2, i:i + 2] = [[-0.02 * (1 + i), 1 + i], [-1 - i, -0.02 * (1 + i)]]
+    v = bench.virtual_sensor(N, np.ones((k, 1)), Cv=np.ones((1, k)), start=np.eye(k))
+    tracemalloc.start()
+    c = converge(v)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6
+    start = np.sqrt(k)  # and each pair of them swings with sqrt(2)
+    assert c.left[0] == pytest.approx(start, rel=0.01)
+    assert c.deviation(20.0) >= np.sqrt(2) * np.exp(-0.02 * 20.0)
+
+
 def test_gains_of_readings(bench):
     low = bench.virtual_sensor([[-2.0]], [[6.0, 0.0]], Q=[[0.0, -5.0]], healthy=('y2', 'y3'))
     np.testing.assert_allclose(reading_gains(low), [3.0, 5.0], rtol=1e-12)
@@ -142,3 +188,17 @@ def test_the_designer_says_how_far_the_start_may_be():
     assert 0.5 < np.sqrt(v.start.max()) < 100.0
     static = design(Plant.from_matrices([[-1]], [1], [[1], [2]]))['y1', 'y1']
     assert static.order == 0 and static.start is None
+
+
+def test_what_is_known_of_the_whole_start_is_one_error():
+    """A chain of states at the corner of their ranges: their means add up, not their squares."""
+    n = 6
+    A = -np.eye(n) + np.eye(n, k=1)
+    C = np.vstack([np.ones(n), np.eye(n)[-1]])
+    plant = Plant.from_matrices(A, np.ones((n, 1)), C, ranges=[[0.0, 2.0]] * n,
+                                noise=[0.01, 0.01])
+    v = design(plant)['y1', 'y1']
+    x = np.random.default_rng(0).uniform(0.0, 2.0, (100_000, n))
+    e = x @ v.Phi.T - v.z0 - x @ plant.C[1:].T @ v.z0_gain.T
+    truth = e.T @ e / len(e)
+    np.testing.assert_allclose(v.start, truth, atol=0.02 * truth.max())

@@ -82,6 +82,23 @@ def test_it_outlives_jumps_of_the_clock(two):
     assert bank.started(*A) == 5500 * MS
 
 
+def test_what_was_read_before_it_is_trusted_is_refused_after_a_reset_too(two):
+    bank = Bank(two, 10)
+    run(bank, range(0, 5000, 100))
+    bank.distrust({'a'})
+    run(bank, range(5000, 6000, 100), a=99.0)
+    bank.distrust(())  # 80 ms after the last tick
+    assert bank.take('a', 5970 * MS, 99.0, 5980 * MS) == 'isolated'
+    bank.reset()
+    bank.distrust(())
+    assert bank.take('a', 5980 * MS, 99.0, 5990 * MS) == 'isolated'
+    assert bank.take('a', 6000 * MS, 1.0, 6000 * MS) is None
+    bank.reset()
+    assert bank.take('a', 5990 * MS, 99.0) == 'isolated'  # though it has been read since
+    run(bank, range(1000, 2000, 100))  # a clock that was set back
+    assert bank.started(*A) <= 1100 * MS
+
+
 @settings(deadline=None, max_examples=15)
 @given(data=st.data())
 def test_no_order_of_arrival_brings_a_bad_reading_back(bench, two, data):

@@ -89,3 +89,15 @@ def test_a_reading_that_is_too_old_to_count_redoes_nothing(make_bank):
     assert bank.take('y1', START + 100 * bank.period, 2.0) is None
     bank.advance(START + 299 * bank.period)
     assert len(counted) == before
+
+
+def test_data_that_is_late_now_and_then_is_not_put_off(make_bank):
+    bank, _ = make_bank(100.0, 0.5)
+    put_off = 0
+    bank.take('u1', START, 0.3)
+    for k in range(600):  # y1 alone, at 10 Hz, 50 ms late: 1.5 steps redone a step
+        if k % 10 == 5:
+            bank.take('y1', START + (k - 5) * bank.period, np.cos(0.013 * (k - 5)))
+        bank.advance(START + k * bank.period)
+        put_off += bank._redo is not None
+    assert put_off == 0

@@ -133,7 +133,7 @@ def test_the_reason_names_what_the_next_best_lacks_and_is_kept_up_to_date(build)
 
 
 def test_none_until_ready_and_again_when_readiness_is_lost(build):
-    run = Run(build('a/a ab/a'))
+    run = Run(build('a/a'))
     run.unready = dict.fromkeys(['a/a', 'ab/a'], 'c silent for 1.0 s')
     assert run.isolate('a') == ['!', '', '']
     run.unready = {}
@@ -141,8 +141,33 @@ def test_none_until_ready_and_again_when_readiness_is_lost(build):
     run.unready = dict.fromkeys(['a/a', 'ab/a'], 'c silent for 1.0 s')
     assert run.decide(1.0) == ['!', '', '']
     run.unready = {}
-    assert run.decide(0.01) == ['a', '', '']  # any valid estimate at once when there is none
-    assert run.switches == [4, 0, 0]
+    assert run.decide(1.0) == ['!', '', ''] and run.why('a').startswith(
+        'ready again for 0.0 s, serves after 2.0 s')
+    assert run.decide(1.9) == ['!', '', '']
+    assert run.decide(0.1) == ['a', '', ''] and run.switches == [4, 0, 0]
+
+
+def test_who_never_served_in_this_fault_serves_at_once(build):
+    run = Run(build('a/a ab/a'))
+    run.isolate('a')
+    run.unready = dict.fromkeys(['a/a', 'ab/a'], 'c silent for 1.0 s')
+    assert run.decide(1.0) == ['!', '', '']
+    run.unready = {'a/a': 'c silent for 1.0 s'}
+    assert run.decide(0.1) == ['ab', '', '']
+    run.unready = {}
+    run.isolate('')
+    assert run.decide(2.0) == ['', '', '']
+    assert run.isolate('a') == ['a', '', '']  # another fault
+
+
+def test_readiness_that_flickers_when_nobody_else_could_serve(build):
+    run = Run(build('a/a'))
+    run.isolate('a')
+    for i in range(240):  # 2 Hz
+        run.unready = {'a/a': 'too uncertain'} if i % 2 == 0 else {}
+        run.decide(0.25)
+    assert run.shown == ['!', '', ''] and run.switches == [2, 0, 0]
+    assert run.decide(2.0) == ['a', '', ''] and run.switches == [3, 0, 0]
 
 
 def test_readiness_that_flickers_does_not_whip_the_output(build):

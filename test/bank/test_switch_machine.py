@@ -63,6 +63,7 @@ class Machine(RuleBasedStateMachine):
         self.accounts = {s: Account() for s in NAMES}
         self.reported = self.silent = frozenset()
         self.counted = dict.fromkeys(NAMES, 0)
+        self.gone = {}  # by key: since it was given up in this fault, (when, ready) at decisions
 
     # ------------------------------------------------------------------------------ events
 
@@ -137,6 +138,7 @@ class Machine(RuleBasedStateMachine):
     @rule(seen=SEEN)
     def reset(self, seen):
         self.happen('reset', self.now)
+        self.gone = {}
         for account in self.accounts.values():
             if account.log[-1][0] == 'well':
                 account.log.append(('pardon', self.now))
@@ -179,7 +181,9 @@ class Machine(RuleBasedStateMachine):
         if not seen:
             return
         old = self.switch
+        self.give_up(old)
         self.switch = new = self.look(old)
+        self.gone = {(key, s): log for (key, s), log in self.gone.items() if s in new.faulty}
         assert self.look(new) is new
         core = {s for s in NAMES if self.accounts[s].faulty(self.policies[s], self.now)}
         assert core <= new.faulty <= core | old.forced
@@ -188,6 +192,25 @@ class Machine(RuleBasedStateMachine):
         for s in NAMES:
             self.check(s, old, new, core)
         self.check_forces(old, new, core)
+        self.gone = {key: log for key, log in self.gone.items() if self.waits(*key)}
+
+    def give_up(self, old):
+        for (key, s), log in self.gone.items():
+            log[:] = [(min(when, self.now), ready) for when, ready in log]
+            log.append((self.now, (key, s) in self.ready))
+        for s, d in old.decisions.items():
+            if d.fault_set and old.faulty <= {*d.fault_set} and (d.fault_set, s) not in self.ready:
+                self.gone[d.fault_set, s] = [(self.now, False)]
+
+    def waits(self, key, s):
+        """Tell whether it was given up and has not been ready for the dwell since."""
+        log = self.gone.get((key, s), [])
+        dwell, began = round(self.policies[s].dwell * SECOND), None
+        for when, ready in log:
+            began = None if not ready else when if began is None else began
+            if ready and when - began >= dwell:
+                return False
+        return bool(log)
 
     def check(self, s, old, new, core):
         d, before = new.decisions[s], old.decisions[s]
@@ -225,7 +248,8 @@ class Machine(RuleBasedStateMachine):
 
     def may(self, faulty, s, among=None):
         return {key for key, c in (self.ready if among is None else among)
-                if c == s and set(key) >= set(faulty)}
+                if c == s and set(key) >= set(faulty)
+                and (among is not None or not self.waits(key, s))}
 
 
 def _copy(value):

@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64, String
 
+from vsensor_ros.node import start
 from vsensor_ros.node.lifecycle import ManagedNode, run_node
 
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -115,11 +116,13 @@ class Machine:
 def machines(parameters):
     """Be the fixture that starts managed nodes with parameters beyond these; all end with it."""
     started = []
+    discovery, start.DISCOVERY = start.DISCOVERY, 0.0  # what isolation said is waited for, still
 
-    def start(**more):
+    def start_one(**more):
         started.append(Machine({**parameters, 'isolation.type': 'std_msgs/msg/String',
                                 **{key.replace('__', '.'): more[key] for key in more}}))
         return started[-1]
-    yield start
+    yield start_one
     for machine in started:
         machine.close()
+    start.DISCOVERY = discovery

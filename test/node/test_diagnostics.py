@@ -25,7 +25,7 @@ OK, WARN, ERROR, STALE = (DiagnosticStatus.OK, DiagnosticStatus.WARN, Diagnostic
 NAN = math.nan
 REAL = ChannelState('y2', '/y2', 'rad', 'real', '', (), '', 1.5, 0.0, 0.0, 0, NAN, NAN, 0.0,
                     False, NAN, None, {}, 100.0)
-HEALTH = Health(100.0, 100.0, 1e-4, 2e-4, 3e-4, 1e-4, 0, {}, (), 10, 0)
+HEALTH = Health(100.0, 100.0, 1e-4, 2e-4, 3e-4, 1e-4, 0, {}, (), 10, 0, 0)
 
 
 @pytest.fixture
@@ -115,14 +115,14 @@ def test_what_others_do_on_its_topics_and_whipsaw_are_warnings(plan, virtual):
 
 
 def test_the_loop():
-    report = describe_loop(HEALTH, True, 0, [])
+    report = describe_loop(HEALTH, 'active', 0, [])
     assert (report.level, report.message) == (OK, 'active')
-    assert describe_loop(HEALTH, False, 0, []).message == 'inactive; nothing goes out'
-    assert describe_loop(HEALTH, False, 0, []).level == WARN
-    report = describe_loop(HEALTH, True, 7, ['/u1: /x uses the type A, this node B'])
+    assert describe_loop(HEALTH, 'inactive', 0, []).message == 'inactive; nothing goes out'
+    assert describe_loop(HEALTH, 'inactive', 0, []).level == WARN
+    report = describe_loop(HEALTH, 'active', 7, ['/u1: /x uses the type A, this node B'])
     assert report.level == WARN and '7 ticks left out in 60 s' in report.message
     assert report.message.endswith('/u1: /x uses the type A, this node B')
-    assert '/clock' in describe_loop(replace(HEALTH, ticks=0), True, 0, []).message
+    assert '/clock' in describe_loop(replace(HEALTH, ticks=0), 'active', 0, []).message
 
 
 def test_facts(plan, virtual):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Range
 
-from vsensor_ros.node.accessor import put_stamp
+from vsensor_ros.node.accessor import get_stamp, put_stamp
 from vsensor_ros.node.loop import run
 
 RANGE = 'sensor_msgs/msg/Range'
@@ -24,8 +24,8 @@ def running(r):
     poll, r.replacer.poll = r.replacer.poll, lambda *given: 0
     thread = Thread(target=run, args=(type('Loop', (), {
         'poll': staticmethod(poll), 'subscriptions': r.replacer.subscriptions,
-        'ticks': r.replacer.ticks, 'node': r.replacer.node, 'serves': True,
-        'prepare': staticmethod(r.replacer.prepare)})(), stop, active))
+        'ticks': r.replacer.ticks, 'node': r.replacer.node, 'clock': r.replacer.clock})(),
+        stop, active))
     thread.start()
     try:
         yield stop, active, thread
@@ -70,6 +70,29 @@ def test_messages_pass_and_ticks_lie_on_the_grid(rig, parameters):
         health = r.replacer.health()
     assert health.ticks > 20 and health.estimates >= 30
     assert 0.0 < health.step_p50 <= health.step_p99 <= health.step_max
+
+
+def test_an_estimate_waits_for_its_time_to_be_sent(rig, parameters):
+    r = rig(parameters, sim_time=False)
+    drivers = sensors(r)
+    publisher = r.replacer.streams[1].publisher
+    publish, waited = publisher.publish, []
+
+    def note(message):
+        waited.append(time.time_ns() - get_stamp(message))
+        publish(message)
+    publisher.publish = note
+    with running(r):
+        for driver in drivers:
+            driver.publish(now_(0.5))
+        r.replacer.force('y2')
+
+        def served():
+            drivers[0].publish(now_(0.5))
+            r.spin(0.005)
+            return len(waited) > 25
+        assert r.spin_until(served)
+    assert min(waited[5:]) > 0.249 * PERIOD  # however busy the machine is: never sooner
 
 
 @pytest.mark.parametrize('which', ['stop', 'active'])

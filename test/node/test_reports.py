@@ -86,6 +86,7 @@ def test_bytes_that_are_no_message_of_isolation(rig, parameters, capfd):
         publisher.publish(raw)
     r.spin(0.05)
     assert reported(r, 'y2')
+    assert r.replacer.health().not_used == 4
     assert 'not a message of the type' in capfd.readouterr().err
     r.isolate('y1')
 
@@ -116,3 +117,4 @@ def test_a_fault_of_something_that_is_no_sensor(rig, parameters, topic, capfd):
         publisher.publish(statuses(Y1=2))
         r.spin(0.02)
     assert capfd.readouterr().err.count('is not a sensor') == (topic == '/isolation')
+    assert r.replacer.health().not_used == 5 * (topic == '/isolation')

@@ -1,11 +1,12 @@
-"""Stamps increase strictly once something was replaced."""
-
+"""What goes out of one driver has stamps that increase strictly, live or estimated."""
 
 import numpy as np
 import pytest
-from sensor_msgs.msg import Range
+from sensor_msgs.msg import JointState, Range
 
+from vsensor_ros.node.accessor import put_stamp
 from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.topics import NOT_NEWER
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
@@ -52,11 +53,11 @@ def test_estimates_are_newer_than_the_newest_live_message(rig, parameters):
     r.step(*r.healthy(), periods=5)
     newest = r.now + 300_000_000
     r.send(newest)
-    r.send(r.now + 1)
-    assert r.spin_until(lambda: len(heard) == 7)
+    r.send(r.now + 1)  # late, and not sent on
+    assert r.spin_until(lambda: len(heard) == 6)
     r.isolate('y2')
     r.step(*r.healthy()[::2], periods=40)
-    assert r.stamps(heard)[7:] == [newest + (i + 1) * PERIOD for i in range(10)]
+    assert r.stamps(heard)[6:] == [newest + (i + 1) * PERIOD for i in range(10)]
 
 
 def test_estimates_that_have_to_wait_are_said_to(rig, parameters):
@@ -90,14 +91,78 @@ def test_old_messages_among_new_ones_are_never_believed(rig, parameters):
     assert 9.0 not in r.values(heard)
 
 
-def test_one_stamp_from_far_away_silences_nothing(rig, parameters):
+@pytest.mark.parametrize('isolated', [False, True])
+def test_one_stamp_from_far_away_silences_for_max_age_at_most(rig, parameters, isolated):
     r = rig(parameters)
     heard = r.listen(RANGE, '/y2')
     r.send(r.now + 3600 * 10**9)
     r.step(*r.healthy(), periods=5)
-    r.isolate('y2')
+    assert r.spin_until(lambda: len(heard) == 1)
+    if isolated:
+        r.isolate('y2')
+    r.step(*r.healthy(), periods=40)
+    assert len(heard) == 1
+    r.step(*r.healthy(), periods=10)
+    assert r.spin_until(lambda: len(heard) >= 5)
+    assert r.stamps(heard)[-4:] == [r.now - i * PERIOD for i in range(3, -1, -1)]
+
+
+def test_live_messages_increase_strictly_before_anything_has_failed(rig, joint_parameters):
+    r = rig(joint_parameters)
+    one = r.listen(RANGE, '/y3')
+    two = r.listen('sensor_msgs/msg/JointState', '/joint_states')
+    topic, arm = r.arm(0.5, 1.0)
+    r.step((topic, arm), r.healthy()[2], periods=5)
+    for late in (0, 10**6, 0, 5 * 10**8, 2 * 10**9, 3 * 10**9):
+        r.send(r.now - late, topic='/y3_raw')
+        put_stamp(arm, r.now - late)
+        before = r.taken[topic]
+        r.publisher(JointState, topic).publish(arm)
+        assert r.spin_until(lambda due=before: r.taken[topic] > due)
+    r.send(r.now + 1, topic='/y3_raw')
+    r.step((topic, arm), r.healthy()[2], periods=60)  # longer than max_age
+    r.spin()
+    assert len(one) == 5 + 1 + 60 and len(two) == 5 + 60
+    assert np.all(np.diff(r.stamps(one)) > 0) and np.all(np.diff(r.stamps(two, JointState)) > 0)
+    counts = r.replacer.counts
+    assert counts['y3', NOT_NEWER] == counts['y1', NOT_NEWER] == 6
+
+
+def test_a_clock_set_back_is_believed_after_max_age(rig, parameters, capfd):
+    r = rig(parameters)
+    heard = r.listen(RANGE, '/y2')
     r.step(*r.healthy(), periods=5)
-    assert r.stamps(heard)[-5:] == [r.now - i * PERIOD for i in range(4, -1, -1)]
+    stopped = r.now - 5 * 10**9
+    for i in range(60):  # neither stands a clock still, nor does it run backwards
+        r.step(*r.healthy()[::2])
+        r.send(stopped - max(0, i - 30) * PERIOD)
+    assert len(heard) == 5
+    r.step(*r.healthy(), periods=2)
+    assert r.spin_until(lambda: len(heard) == 7)
+    back = 100 * 10**9
+    for _ in range(70):
+        r.step(*r.healthy()[::2])
+        r.send(r.now - back)
+    r.spin()
+    after = r.stamps(heard)[7:]
+    assert 15 <= len(after) <= 20 and after[-1] == r.now - back and np.all(np.diff(after) > 0)
+    assert capfd.readouterr().err.count('mend the clock of the driver') == 1
+
+
+def test_what_has_no_stamp_goes_on_as_it_is(rig, parameters):
+    r = rig(parameters)
+    heard = r.listen(RANGE, '/y2')
+    for _ in range(3):
+        r.send(0)
+    assert r.spin_until(lambda: len(heard) == 3)
+    r.isolate('y2')
+    r.step(*r.healthy()[::2], periods=5)
+    r.isolate()
+    before = len(heard)
+    assert before >= 3 + 4 and np.all(np.diff(r.stamps(heard)[3:]) > 0)
+    r.send(0)
+    assert r.spin_until(lambda: len(heard) == before + 1)
+    assert ('y2', NOT_NEWER) not in r.replacer.counts
 
 
 @pytest.mark.parametrize('offset', [-3600 * 10**9, 3600 * 10**9])

@@ -17,7 +17,7 @@ KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', '
         'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'recovering_s', 'readings_hz',
         'not_used', 'reason'}
 NODE_KEYS = {'state', 'rate', 'achieved', 'step_p50', 'step_p99', 'step_max', 'jitter_p99',
-             'overruns', 'ticks', 'estimates', 'faulty'}
+             'overruns', 'ticks', 'estimates', 'faulty', 'not_used'}
 
 
 @pytest.fixture
@@ -71,6 +71,19 @@ def test_who_joins_late_sees_it_at_once_and_then_each_change(machine):
     count, begin = len(late), late[-1].header.stamp.sec
     assert m.spin_until(lambda: len(late) == count + 2)
     assert 1 <= late[-1].header.stamp.sec - begin <= 5
+
+
+def test_a_switch_is_reported_once_it_is_counted(machine, monkeypatch):
+    monkeypatch.setattr(status, 'PERIOD', 3600.0)  # on change only
+    m = machine(recovery__dwell=0.0)
+    m.drive()
+    heard = m.listen(DiagnosticArray, '/replacer/status', KEPT)
+    assert m.spin_until(lambda: is_source(heard, 'y2', 'real'))
+    for names, source, count in (('y2', 'virtual', '1'), ('', 'real', '2')):
+        m.spin(2 * status.SOONEST)  # so that the change is told at once, before it is counted
+        m.isolate(names)
+        assert m.spin_until(lambda source=source, count=count: is_source(heard, 'y2', source)
+                            and facts(heard[-1], 'y2')['switches'] == count, 2.0)
 
 
 def test_the_diagnostics_name_the_remedy(machine):

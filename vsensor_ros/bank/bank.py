@@ -23,6 +23,7 @@ from vsensor_ros.virtual_sensor import Design, Refusal
 
 _LONGEST = 1000  # steps that can be taken back, at most
 _REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
+_GAP = 3  # times the usual interval of a reading: what was missed then shows afterwards
 _OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
 
 
@@ -89,9 +90,11 @@ class Bank:
         self._everyone = np.ones(len(stack.keys), dtype=bool)
         self._told = Inputs(ages, design.inputs, stack.Cu,
                             stack.Qu is not None or stack.Cu is not None)
-        self._record = Record(np.array([c.slowest for c in stack.convergence]), stack.own,
-                              len(self.sensors), self.period * 1e-9)
-        self._base = self._record.in_steady_state(stack.error, stack.assumed)
+        self._slowest = np.array([c.slowest for c in stack.convergence])
+        self._record = Record(self._slowest, stack.own,
+                              len(self.sensors), self.period * 1e-9, stack.error,
+                              stack.assumed)
+        self._base = self._record.in_steady_state()
         self.refused: Counter[tuple[str, str]] = Counter()  # by channel and reason
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock
         self.reset()
@@ -99,6 +102,7 @@ class Bank:
     def reset(self) -> None:
         """Forget readings, commands and states; counters, distrust and what is believed go on."""
         self._told.reset()
+        self._usual = dict.fromkeys(self.sensors, 3 * self.period)  # ns between its readings
         self._farewells: dict[str, tuple[int, float] | None] = {}
         self._origin: int | None = None
         self._now: int | None = None
@@ -113,6 +117,9 @@ class Bank:
         self._credit = self._span  # steps that may be redone now
         self._estimates: np.ndarray | None = None
         self._held: np.ndarray | None = None
+        # what gaps in the readings have left in the states (V,), when they ended last
+        self._missed: np.ndarray = np.zeros(len(self._everyone))
+        self._missed_at = 0
 
     @property
     def time(self) -> int | None:
@@ -125,10 +132,12 @@ class Bank:
         """
         Accept a reading or a command at its stamp [ns]; return None, or why it was not.
 
-        now: the time by which a stamp lies ahead of the clock; by default that of `advance`. Of
-        two commands with one stamp (their messages have none of their own) the later one counts.
+        now: the time by which a stamp lies ahead of the clock; by default a period after that of
+        `advance`. Of two commands with one stamp (their messages have none of their own) the later
+        one counts.
         """
-        latest = math.inf if self._now is None else max(self._now, now or 0)
+        latest = math.inf if self._now is None else max(
+            self._now, self._now + self.period if now is None else now)
         changed = self._told.take(name, int(stamp), float(value), latest)
         if isinstance(changed, str):
             if changed != ISOLATED:
@@ -136,6 +145,9 @@ class Bank:
             return changed
         if self._origin is None:
             self._origin = int(stamp)
+        stamps = self._told.samples[name].stamps
+        if len(stamps) > 1 and name in self._usual:
+            self._look_for_gap(name, stamps[-1] - stamps[-2])
         before = (changed - 1 - self._origin) // self.period
         if self._past and before < self._past[0].tick and name in self._told.ages and \
                 stamp + self._told.ages[name] < self._at(self._past[0].tick):
@@ -159,7 +171,8 @@ class Bank:
         lost = names - self._told.distrusted
         for name in lost:
             self._farewells[name] = self._last_reading(name)
-        self._told.distrust(names, self._now)
+        # it may be trusted at any time before the next step
+        self._told.distrust(names, None if self._now is None else self._now + self.period - 1)
         if lost:
             gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
             rows, own = self._stack.starts_on[:, gone].any(axis=1), self._stack.own
@@ -219,11 +232,13 @@ class Bank:
 
     def _take_back(self, last: int) -> None:
         """Drop the states that late data changes; wait with it when that is often and far."""
-        if not self._past or self._redo is None:
+        if not self._past:
             self._redo = None
             return
         newest = self._past[-1].tick
         self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        if self._redo is None:
+            return
         steps = newest - max(self._redo, self._past[0].tick)
         if steps > self._credit:
             return
@@ -318,6 +333,18 @@ class Bank:
         row = self._row.get((frozenset(fault_set), channel))
         return math.inf if row is None else self._stack.convergence[row].warm_up
 
+    def outside_region(self, fault_set: Iterable[str], channel: str) -> bool:
+        """
+        Tell whether it runs outside the region in which it is proved to converge.
+
+        It is ready there all the same: most converge far beyond what could be proved of them.
+        """
+        row = self._running(fault_set, channel)
+        if row is None:
+            return False
+        state = self._past[-1]
+        return self._stack.outside(row, state.z, state.y, state.held)
+
     def deviation(self, fault_set: Iterable[str], channel: str) -> float:
         """
         Return the standard deviation of the estimate [unit of the channel]; infinite if unknown.
@@ -340,23 +367,23 @@ class Bank:
         Return reading - estimate at the channel's last reading; None when that is not known.
 
         A reading that is out of line with what was measured before, some time ago, was faulty
-        already: then it is the mean of what was measured.
+        already: then it is the median of what was measured.
         """
         row = self._running(fault_set, channel)
         last = self._farewells.get(channel) if channel in self._told.distrusted else (
             self._last_reading(channel) if channel in self.sensors else None)
         if row is None:
             return None
-        mean = float(self._record.mean[row])
-        known = not math.isnan(mean)
+        centre = float(self._record.centre[row])
+        known = not math.isnan(centre)
         spread = self._record.spread[row] if known else self._stack.error[row]
         if last is not None and last[0] >= self._past[0].tick:
             state = self._past[last[0] - self._past[0].tick]
             value = last[1] - self._stack.estimates(state.z, state.y, state.held)[row]
             if state.running[row] and (
-                    abs(value - (mean if known else 0.0)) <= _OUT_OF_LINE * spread):
+                    abs(value - (centre if known else 0.0)) <= _OUT_OF_LINE * spread):
                 return float(value)
-        return mean if known else None
+        return centre if known else None
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> str | None:
         """Return in words why there is no estimate that is ready, or None when there is one."""
@@ -431,8 +458,27 @@ class Bank:
             counts = running & there[:, stack.own] & (stack.own >= 0) \
                 & (index[:, None] - since >= 2.0 * self._warm)  # nothing is left of the start
             self._record.add(int(index[-1]), readings[:, stack.own] - estimates, counts, y, there)
-        self._base = self._record.in_steady_state(stack.error, stack.assumed)
+        self._base = self._record.in_steady_state()
         self._told.forget(self._at(self._past[0].tick))
+
+    def _look_for_gap(self, name: str, gap: int) -> None:
+        """Note what a virtual sensor that ran on may have missed in an unusually long interval."""
+        usual, age = self._usual[name], self._told.ages[name]
+        if gap <= _GAP * usual:
+            self._usual[name] = max(3 * self.period, usual + (gap - usual) // 8)
+        elif gap <= age and self._past:
+            self._usual[name] = min(2 * usual, gap)
+            ages = np.array([gap * 1e-9 * (s == name) for s in self.sensors])
+            slopes = np.nan_to_num(self._record.slope)
+            with np.errstate(all='ignore'):
+                more = self._stack.reach(slopes, ages, self._sample_time, False)
+            now = self._past[-1].tick
+            self._missed, self._missed_at = np.hypot(self._left_of_gaps(now), more), now
+
+    def _left_of_gaps(self, tick: int) -> np.ndarray:
+        """Return what gaps have left in the states (V,): it dies out as they do."""
+        ages = max(0, tick - self._missed_at) * self._seconds
+        return self._missed * np.exp(-ages / np.maximum(self._slowest, 1e-9))
 
     def _unseen(self) -> np.ndarray:
         """Return the standard deviations (V,) because readings may have moved since they came."""
@@ -441,4 +487,6 @@ class Bank:
         # before slopes are known: nothing is said of readings that are only a step old
         slopes = np.where(np.isnan(slopes), np.where(ages > self._seconds, np.inf, 0.0), slopes)
         with np.errstate(all='ignore'):
-            return self._stack.reach(slopes, ages, self._sample_time)
+            held = self._stack.reach(slopes, ages, self._sample_time)
+        return np.hypot(held, self._left_of_gaps(self._past[-1].tick)) \
+            if self._missed.any() else held

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -13,6 +14,8 @@ _LEFT = 0.01  # of the largest: a start of which no more is left counts as forgo
 _HORIZON = 50.0  # time constants that are looked at
 _OCTAVES = 20  # of time before the horizon that are looked at, too
 _PHASES = 8  # of half a turn
+_SPEEDS = 16  # of modes that swing, at most, spread over all
+_NEVER = 1e-12  # 1/s: a rate below it, 30 000 years, is none
 _FREQUENCIES = 60
 
 
@@ -39,13 +42,44 @@ class Convergence:
         return float(np.interp(age, self.times, self.left))
 
 
+class Region(NamedTuple):
+    """Where a certificate holds: ``low <= Gz z + Gy y0 + Gu u <= high``, R arguments."""
+
+    Gz: np.ndarray  # (R, k)
+    Gy: np.ndarray  # (R, l0)
+    Gu: np.ndarray  # (R, m)
+    low: np.ndarray  # (R,)
+    high: np.ndarray  # (R,)
+
+
+def region_of(v: VirtualSensor) -> Region | None:
+    """Return where the certificate of a virtual sensor holds; None: everywhere, or nowhere."""
+    if v.certificate is None or v.certificate.status != 'region':
+        return None
+    # the designer lists each argument of the terms that feed the error once, then commands
+    limits = [(low, high) for name, low, high in v.certificate.region if name not in v.inputs]
+    rows: dict[bytes, tuple[np.ndarray, ...]] = {}
+    for i in v.active:
+        for row in zip(v.Gz[i], v.Gy[i], v.Gu[i]) if v.Gz[i].any() else ():
+            rows.setdefault(np.round(np.concatenate(row[:2]), 9).tobytes(), row)
+    if len(rows) != len(limits) or not rows:
+        return None
+    Gz, Gy, Gu = map(np.array, zip(*rows.values()))
+    low, high = np.array(limits).T
+    return Region(Gz, Gy, Gu, low, high)
+
+
+_UNKNOWN = Convergence(np.inf, np.zeros(1), np.full(1, np.inf), False, False, np.inf)
+
+
 def converge(v: VirtualSensor) -> Convergence:
     """
     Work out how a virtual sensor of one row forgets its start.
 
     A linear error decays as ``Cv exp(N t)``. One that nonlinear terms feed decays at the rate of
     its certificate, ``|Cv e| <= |Cv S^-1/2| exp(-rate t) |S^1/2 e(0)|`` (method, 3.5), or, where
-    there is none, is taken as linear, which nothing proves.
+    there is none, is taken as linear, which nothing proves. Nor is anything proved where the start
+    may lie outside its region: then the slower of both rates counts.
 
     It is warm when what is left is, and stays, no more than the noise of the estimate, or a
     hundredth of its largest value.
@@ -53,26 +87,36 @@ def converge(v: VirtualSensor) -> Convergence:
     c, fed = v.certificate, any(v.Gz[i].any() for i in v.active)
     proved = not fed or (c is not None and c.status != 'none' and c.rate > 0.0)
     start = np.eye(v.order) if v.start is None else v.start
+    region = region_of(v)
+    within = True
+    if proved and fed and region is not None and v.start is not None:
+        # of two arguments in the region none is further from the other than it is wide
+        off = np.sqrt(3.0 * np.einsum('ri,ij,rj->r', region.Gz, start, region.Gz))
+        within = bool((off <= (region.high - region.low) * (1.0 + 1e-6)).all())
     if not v.order:
         return Convergence(0.0, np.zeros(1), np.zeros(1), True, True, 0.0)
     if fed and proved:
         assert c is not None
-        rate = min(c.rate, 1e12)
+        rate = min(c.rate, 1e12) if within else min(c.rate, max(_slowest_rate(v), 0.0))
+        if rate < _NEVER:
+            return _UNKNOWN
         times = _times(rate, None)[0]
         reach = float(v.Cv[0] @ np.linalg.pinv(c.S) @ v.Cv[0]) * float(np.trace(c.S @ start))
         left = np.sqrt(max(reach, 0.0)) * np.exp(-rate * times)
     else:
         rate = _slowest_rate(v)
-        if not rate > 0.0:
-            return Convergence(np.inf, np.zeros(1), np.full(1, np.inf), False, False, np.inf)
+        if not _NEVER < rate < np.inf:
+            return _UNKNOWN
         times, rows = _response(v, rate)
         values, vectors = np.linalg.eigh(start)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         left = np.linalg.norm(rows @ root, axis=2).max(axis=1)
+    if not np.isfinite(left).all():
+        return _UNKNOWN
     left = np.maximum.accumulate(left[::-1])[::-1]
     noise = 0.0 if v.noise is None or v.start is None else v.noise.error
     warm_up = _first(times, left, max(noise, _LEFT * left[0]))
-    return Convergence(warm_up, times, left, v.start is not None, proved, 1.0 / rate)
+    return Convergence(warm_up, times, left, v.start is not None, proved and within, 1.0 / rate)
 
 
 def _slowest_rate(v: VirtualSensor) -> float:
@@ -119,11 +163,14 @@ def _turned(v: VirtualSensor) -> np.ndarray:
     Of what swings faster than one looks, one is sure to see the peaks, too.
     """
     modes = np.linalg.eigvals(v.N)
-    speeds = np.abs(modes.imag if v.sample_time is None else np.angle(modes))
-    shifts = np.unique([0.0, *(part * np.pi / speed for speed in speeds[speeds > 0.0]
+    speeds = np.unique(np.abs(modes.imag if v.sample_time is None else np.angle(modes)))
+    speeds = speeds[speeds > 0.0]
+    if len(speeds) > _SPEEDS:
+        speeds = speeds[np.linspace(0, len(speeds) - 1, _SPEEDS).round().astype(int)]
+    shifts = np.unique([0.0, *(part * np.pi / speed for speed in speeds
                                for part in np.arange(1, _PHASES) / _PHASES)])
     if v.sample_time is None:
-        return np.asarray(v.Cv[0] @ expm(v.N * shifts[:, None, None]))
+        return np.array([v.Cv[0] @ expm(v.N * shift) for shift in shifts])
     steps = np.unique(np.round(np.minimum(shifts, 1e9)).astype(int))
     return np.array([v.Cv[0] @ np.linalg.matrix_power(v.N, step) for step in steps])
 

@@ -13,6 +13,9 @@ from vsensor_ros.bank.step import NOTHING
 LARGEST = 1e100  # a number beyond it is as good as infinite
 ISOLATED = 'isolated'
 _AHEAD = 'stamp ahead of the clock'
+# ns that a stamp may lie ahead: clocks of two machines differ by milliseconds, and that of a
+# simulation comes in steps. For so long one bad stamp shuts out the good ones after it
+_MOST_AHEAD = 100_000_000
 
 
 class Inputs:
@@ -30,10 +33,11 @@ class Inputs:
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
         self.distrusted: frozenset[str] = frozenset()
+        self._floors: dict[str, float] = {}  # by sensor: up to this stamp it is not believed
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything but who is distrusted."""
+        """Forget everything but who is distrusted, and up to which stamp."""
         self.samples = samples = {name: Samples() for name in (*self.ages, *self.commands)}
         seen: list[Seen] = [[(float(gain), samples[name])
                              for gain, name in zip(row, self.commands) if gain]
@@ -45,12 +49,10 @@ class Inputs:
         self._seers = {name: [r[0] for r, gain in zip(self._readings, column) if gain]
                        for name, column in zip(self.commands, self._Cu.T)}
         self._heard: dict[str, int] = {}  # by sensor: its last stamp, isolated or not
-        # by sensor: readings up to this stamp are not believed
-        self._floors: dict[str, float] = dict.fromkeys(self.distrusted, math.inf)
 
     def take(self, name: str, stamp: int, value: float, latest: float) -> int | str:
         """
-        Accept a sample whose stamp is at most its max_age after the latest time.
+        Accept a sample whose stamp is at most its max_age, and 0.1 s, after the latest time.
 
         Return the first time at which something has a new value, or why it was not accepted.
         """
@@ -58,7 +60,7 @@ class Inputs:
         age = self.ages.get(name)
         if not -LARGEST < value < LARGEST:
             return 'not finite'
-        if stamp > latest + (age or self.oldest):
+        if stamp > latest + min(age or self.oldest, _MOST_AHEAD):
             return _AHEAD
         if self._floors and stamp <= self._floors.get(name, -math.inf):
             self._heard[name] = max(stamp, self._heard.get(name, stamp))
@@ -71,14 +73,15 @@ class Inputs:
             return min([stamp, *(reading.before(stamp) + 1 for reading in self._seers[name]
                                  if reading.stamps and reading.stamps[-1] >= stamp)])
         self._heard[name] = stamp
-        if self._floors:
-            self._floors.pop(name, None)
         return stamp if last is None or stamp - last > age else last + 1
 
     def drop_ahead(self, now: int) -> Iterator[tuple[str, str]]:
         """Forget what lies ahead of the clock after all; tell of which channel, and why."""
+        for name in self._floors.keys() - self.distrusted:  # of a clock that was set back since
+            self._floors[name] = min(self._floors[name], now)
         for name, samples in self.samples.items():
-            while samples.stamps and samples.stamps[-1] > now + self.ages.get(name, self.oldest):
+            ahead = min(self.ages.get(name, self.oldest), _MOST_AHEAD)
+            while samples.stamps and samples.stamps[-1] > now + ahead:
                 samples.stamps.pop()
                 samples.values.pop()
                 self._heard.pop(name, None)

@@ -2,48 +2,59 @@
 What residuals (reading - estimate) and readings have been like while all was well.
 
 Filled block by block from states that nothing late can change any more, and believed with a
-delay: what a fault did before it was isolated does not count.
+delay: what a fault did before it was isolated does not count. Nor do the worst few blocks: a lone
+spike says nothing of the model.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
 DELAY = 1.0  # s
-_MEMORY = 100.0  # s, or 30 time constants: after it the past counts for 1/e
+_SOON = 1.0  # s, the same of slopes: nothing is said of held readings without them
+_MEMORY = 100.0  # s, or 30 time constants: at least so much is remembered
 _TIME_CONSTANTS = 30.0
-_ENOUGH = 10.0  # s, or 30 time constants: so much, and what was measured counts alone
+_ENOUGH = 10.0  # s, or 30 time constants: so much in motion, and what was measured counts alone
+_BLOCKS = 128  # remembered of each virtual sensor
+_WORST = 20  # one block in so many is left out
+_FEW = 5  # of fewer none is left out
+_MOVED = 3.0  # times the design's figure: a channel that moved less says nothing of the model
 _TOLD_APART = 0.2  # of the rms of a residual is the estimate's, at least
 _LAG = 0.1  # s over which the slope of a reading is taken
-
-
-class _Sums(NamedTuple):
-    """Weights [s], sums, sums of squares and of reading noise (4, V); of slopes (2, L)."""
-
-    residuals: np.ndarray
-    slopes: np.ndarray
+_SLOPES = 20  # blocks over which an rms slope is taken
+_LONG = 100  # times so many blocks: of these the largest slope counts
 
 
 class Record:
     """
-    Mean and spread of V residuals, what of their rms is the estimate's, and L rms slopes.
+    Centre and spread of V residuals, what of their rms is the estimate's, and L rms slopes.
 
     `slowest` (V,): time constants [s] of the virtual sensors; `own` (V,): the reading that each
-    stands in for; `period` [s] of the grid.
+    stands in for; `period` [s] of the grid; `error` (V,): the design's figure, NaN where there is
+    none, and whether it is `assumed` (V,).
     """
 
-    def __init__(self, slowest: np.ndarray, own: np.ndarray, readings: int,
-                 period: float) -> None:
+    def __init__(self, slowest: np.ndarray, own: np.ndarray, readings: int, period: float,
+                 error: np.ndarray, assumed: np.ndarray) -> None:
         self.block = max(8, round(0.5 / period))  # rows of a block
-        self._own, self._period = own, period
+        self._own, self._period, self._error, self._assumed = own, period, error, assumed
         self._lag = min(max(2, round(_LAG / period)), self.block // 2)
         constants = _TIME_CONSTANTS * np.minimum(slowest, 1e9)
-        self._memory, self._enough = np.maximum(_MEMORY, constants), np.maximum(_ENOUGH, constants)
-        self._sums = _Sums(np.zeros((4, len(slowest))), np.zeros((2, readings)))
-        self._waiting: deque[tuple[int, _Sums]] = deque()
+        self._enough = np.maximum(_ENOUGH, constants)
+        # blocks of slow virtual sensors are put together, so that the memory is long enough
+        self._long = np.maximum(_MEMORY, constants) / _BLOCKS
+        self._blocks = np.zeros((6, len(slowest), _BLOCKS))  # the first of each is being filled
+        self._slopes: deque[np.ndarray] = deque(maxlen=_SLOPES)
+        self._peaks: deque[np.ndarray] = deque(maxlen=_LONG)
+        self._since_peak = 0
+        # by index. Sums over the seconds of a block (6, V): of 1, the residual, its square, the
+        # variance of reading noise, the reading itself, and its square about its mean
+        self._waiting: deque[tuple[int, np.ndarray]] = deque()
+        # mean square slopes (L,), NaN where some reading was not there
+        self._heard: deque[tuple[int, np.ndarray]] = deque()
+        self.slope: np.ndarray = np.full(readings, np.nan)  # (L,), 1/s, NaN where nothing is known
         self._look()
 
     def add(self, index: int, residuals: np.ndarray, counts: np.ndarray, readings: np.ndarray,
@@ -53,60 +64,127 @@ class Record:
 
         What was taken long enough ago is believed from now on.
         """
-        residuals = np.where(counts, residuals, 0.0)
-        noise, slope = self._apart(readings)
-        noise = np.where(there.all(axis=0), noise, 0.0)[self._own]
-        noise = np.where(counts.all(axis=0), np.minimum(noise, self._apart(residuals)[0]), 0.0)
-        sums = np.array([counts.sum(axis=0), residuals.sum(axis=0), (residuals**2).sum(axis=0),
-                         noise * len(residuals)]) * self._period
-        weight = there.all(axis=0) * len(readings) * self._period
-        self._waiting.append((index, _Sums(sums, np.array([weight, weight * slope]))))
+        with np.errstate(all='ignore'):
+            residuals = np.where(counts, residuals, 0.0)
+            noise, slope = self._apart(readings)
+            noise = np.where(there.all(axis=0), np.maximum(noise, 0.0), 0.0)[self._own]
+            noise = np.where(counts.all(axis=0), np.minimum(
+                noise, np.maximum(self._apart(residuals)[0], 0.0)), 0.0)
+            own, n = np.where(counts, readings[:, self._own], 0.0), counts.sum(axis=0)
+            about = np.where(counts, own - own.sum(axis=0) / np.maximum(n, 1), 0.0)
+            sums = np.array([n, residuals.sum(axis=0), (residuals**2).sum(axis=0),
+                             noise * len(residuals), own.sum(axis=0), (about**2).sum(axis=0)])
+        self._waiting.append((index, sums * self._period))
+        self._heard.append((index, np.where(there.all(axis=0), slope, np.nan)))
         while self._waiting and index - self._waiting[0][0] >= DELAY / self._period:
             self._believe(self._waiting.popleft()[1])
+        while self._heard and index - self._heard[0][0] >= _SOON / self._period:
+            self._slopes.append(self._heard.popleft()[1])
+            self._since_peak += 1
         self._look()
 
     def _apart(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Tell the variance of white noise in columns from their mean square slope [1/s^2].
 
-        The noise adds as much to differences over one row as to those over the lag.
+        The noise adds as much to differences over one row as to those over the lag. So the slope
+        may be found below 0 by chance.
         """
         near, far = (np.mean((values[n:] - values[:-n])**2, axis=0) for n in (1, self._lag))
-        slope = np.maximum(far - near, 0.0) / (self._lag**2 - 1)
-        return np.maximum(near - slope, 0.0) / 2, slope / self._period**2
+        slope = (far - near) / (self._lag**2 - 1)
+        return (near - np.maximum(slope, 0.0)) / 2, slope / self._period**2
 
-    def _believe(self, new: _Sums) -> None:
-        old = self._sums
-        keep = np.exp(-new.residuals[0] / self._memory), np.exp(-new.slopes[0] / _MEMORY)
-        self._sums = _Sums(old.residuals * keep[0] + new.residuals,
-                           old.slopes * keep[1] + new.slopes)
+    def _believe(self, new: np.ndarray) -> None:
+        full = self._blocks[0, :, 0] >= self._long
+        self._blocks[:, full, 1:] = self._blocks[:, full, :-1]
+        self._blocks[:, full, 0] = 0.0
+        with np.errstate(all='ignore'):
+            self._blocks[:, :, 0] += new
 
     def _look(self) -> None:
         with np.errstate(all='ignore'):
-            seconds, first, second, noise = self._sums.residuals
-            square = second / seconds
-            self.mean = first / seconds  # (V,), NaN where nothing is known
-            self.spread = np.sqrt(np.maximum(square - self.mean**2, 0.0))
-            # of the estimate alone; the reading's noise is not known so well that less could be
-            # told from it
-            self.rms = np.sqrt(np.maximum(square - noise / seconds, _TOLD_APART**2 * square))
-            self.enough = seconds >= self._enough
-            self.slope = np.sqrt(self._sums.slopes[1] / self._sums.slopes[0])  # (L,), 1/s
+            self._look_at_residuals()
+            if self._slopes:
+                self._look_at_slopes()
+
+    def _look_at_residuals(self) -> None:
+        seconds, first, second, noise, own, about = self._blocks
+        there = seconds > 0.0
+        mean, at = first / seconds, own / seconds
+        self.centre = _median(mean, there)  # (V,), NaN where nothing is known
+        c = self.centre[:, None]
+        off = np.where(there, np.abs((second - 2.0 * c * first) / seconds + c**2), np.inf)
+        kept = _without_worst(off, there)
+        known = there.any(axis=1)
+        # the most of them, because motion comes and goes
+        self.spread = np.sqrt(np.where(known, np.where(kept, off, 0.0).max(axis=1), np.nan))
+        # of a channel that rests one learns nothing of the model
+        far = (at - _median(at, there)[:, None])**2 + about / seconds - noise / seconds
+        moves = _without_worst(off, there & (far > (_MOVED * self._error[:, None])**2))
+        self.rms = np.fmax(_rms(kept, seconds, second, noise), np.where(
+            moves.sum(axis=1) >= _FEW, _rms(moves, seconds, second, noise), np.nan))
+        moving = np.where(moves, seconds, 0.0).sum(axis=1)
+        # in its motion alone, NaN where that was not enough
+        self.alone = np.where(self._assumed & (moving >= self._enough),
+                              _rms(moves, seconds, second, noise), np.nan)
+        self.spread = np.where(np.isnan(self.alone), np.fmax(self.spread, self._error),
+                               self.spread)
+
+    def _look_at_slopes(self) -> None:
+        slopes = np.array(self._slopes)
+        slopes = np.sort(np.where(np.isfinite(slopes), slopes, np.inf), axis=0)
+        known = np.isfinite(slopes).sum(axis=0)
+        kept = np.arange(len(slopes))[:, None] < known - (known >= _FEW)
+        recent = np.where(kept, slopes, 0.0).sum(axis=0) / kept.sum(axis=0)
+        if self._since_peak >= _SLOPES:
+            self._since_peak = 0
+            self._peaks.append(recent)
+        for peak in self._peaks:
+            recent = np.fmax(recent, peak)
+        self.slope = np.sqrt(np.maximum(recent, 0.0))
 
     def forget(self, rows: np.ndarray | None = None, readings: np.ndarray | None = None) -> None:
         """Forget what is not yet believed of some virtual sensors and readings, or of all."""
         if rows is None:
             self._waiting.clear()
+            self._heard.clear()
         for _, sums in self._waiting:
-            sums.residuals[:, rows] = 0.0
-            sums.slopes[:, readings] = 0.0
+            sums[:, rows] = 0.0
+        for _, slopes in self._heard:
+            slopes[readings] = np.nan
 
-    def in_steady_state(self, error: np.ndarray, assumed: np.ndarray) -> np.ndarray:
+    def in_steady_state(self) -> np.ndarray:
         """
         Return the standard deviation (V,) of each estimate; infinite where not known.
 
-        `error` (V,) is the design's figure, NaN where there is none: what was measured may raise
-        it. Where it is assumed it counts until enough has been measured.
+        What was measured may raise the design's figure. Where that is assumed it counts until
+        enough has been measured while the channel moved.
         """
-        measured = np.where(assumed & self.enough, self.rms, np.fmax(error, self.rms))
-        return np.where(np.isnan(measured), np.inf, measured)
+        found = np.where(np.isnan(self.alone), np.fmax(self._error, self.rms), self.alone)
+        return np.where(np.isnan(found), np.inf, found)
+
+
+def _median(values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return the median of those that are there in each row; NaN where none is."""
+    ordered = np.sort(np.where(there, values, np.inf), axis=1)
+    n = there.sum(axis=1)[:, None]
+    low, high = (np.take_along_axis(ordered, np.maximum(i, 0), axis=1)[:, 0]
+                 for i in ((n - 1) // 2, n // 2))
+    return np.where(n[:, 0] > 0, low + (high - low) / 2, np.nan)
+
+
+def _without_worst(off: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Return those that are there but the worst in each row."""
+    n = there.sum(axis=1)
+    out = np.where(n >= _FEW, np.maximum(n // _WORST, 1), 0)
+    ordered = np.sort(np.where(there, off, -np.inf), axis=1)
+    limit = np.take_along_axis(ordered, (off.shape[1] - out - 1)[:, None], axis=1)
+    return there & (off <= limit)
+
+
+def _rms(kept: np.ndarray, seconds: np.ndarray, second: np.ndarray,
+         noise: np.ndarray) -> np.ndarray:
+    """Return the rms of the estimate's part of residuals, NaN where nothing is kept."""
+    weight, square, noise = (np.where(kept, x, 0.0).sum(axis=1) for x in (seconds, second, noise))
+    # the reading's noise is not known so well that less could be told from it
+    return np.sqrt(np.maximum(square - noise, _TOLD_APART**2 * square) / weight)

@@ -12,6 +12,8 @@ from vsensor_ros.bank.convergence import (
     Convergence,
     reading_gains,
     reading_pushes,
+    Region,
+    region_of,
 )
 from vsensor_ros.bank.step import make_step, pad, Step, widen
 from vsensor_ros.virtual_sensor import Design, VirtualSensor
@@ -35,6 +37,7 @@ class Stack:
     gains: np.ndarray  # (V, L) peak over frequency of each reading's gain to vhat
     pushes: np.ndarray  # (V, L) 1/s, peak over time of vhat after an impulse of a reading in z
     convergence: tuple[Convergence, ...]
+    regions: tuple[Region | None, ...]  # of the certificates, over all L readings
     error: np.ndarray  # (V,) steady-state standard deviation of the design; NaN: not known
     assumed: np.ndarray  # (V,) bool: made of default figures
 
@@ -43,14 +46,27 @@ class Stack:
         found = (self.Cv * z).sum(axis=-1) + y @ self.Q.T
         return found if self.Qu is None else found + held @ self.Qu.T
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, sample_time: float) -> np.ndarray:
+    def outside(self, row: int, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> bool:
+        """Tell whether an argument of a virtual sensor is where nothing is proved of it."""
+        region = self.regions[row]
+        if region is None:
+            return False
+        w = region.Gz @ z[row, :region.Gz.shape[1]] + region.Gy @ y
+        if held.size:
+            w = w + region.Gu @ held
+        return bool((w < region.low).any() or (w > region.high).any())
+
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, sample_time: float,
+              direct: bool = True) -> np.ndarray:
         """
         Return how far vhat (V,) may be off when readings have moved unseen for these ages [s].
 
         Those of a reading that moves at its slope (L,) lead to an error of no more than the peak
-        gain allows, and of no more than a ramp does through Q and through z.
+        gain allows, and of no more than a ramp does through Q, if direct, and through z.
         """
-        through = np.abs(self.Q) * ages + self.pushes * ages * (ages + sample_time) / 2
+        through = self.pushes * ages * (ages + sample_time) / 2
+        if direct:
+            through = np.abs(self.Q) * ages + through
         reach = np.minimum(self.gains * ages, through)
         moved: np.ndarray = np.where(reach > 0.0, reach * slopes, 0.0)
         return np.linalg.norm(moved, axis=1)
@@ -84,9 +100,14 @@ def make_stack(design: Design, period: float) -> Stack:
                  dtype=int),
         pad([widen(v, sensors, reading_gains(v)) for v in kept] + [np.zeros(L)])[:-1],
         pad([widen(v, sensors, reading_pushes(v)) for v in kept] + [np.zeros(L)])[:-1],
-        tuple(converge(v) for v in kept),
+        tuple(converge(v) for v in kept), tuple(_widened(v, sensors) for v in clean),
         np.array([np.nan if v.noise is None else v.noise.error for v in kept]),
         np.array([v.noise is None or v.noise.assumed for v in kept], dtype=bool))
+
+
+def _widened(v: VirtualSensor, sensors: tuple[str, ...]) -> Region | None:
+    region = region_of(v)
+    return None if region is None else region._replace(Gy=widen(v, sensors, region.Gy))
 
 
 def _cleaned(v: VirtualSensor, Cu0: np.ndarray) -> VirtualSensor:

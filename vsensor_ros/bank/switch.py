@@ -77,8 +77,9 @@ class Switch:
     The exact set's virtual sensor serves when it is ready; else the smallest ready one designed
     for a superset, which reads none of the faulty sensors either; else nobody. Whoever serves
     goes on as long as it may, with one exception: the exact set's takes over from a superset's
-    when it becomes ready, because it reads more sensors. If it was itself given up because it was
-    not ready, it must first be ready for the dwell without interruption, unless nobody serves.
+    when it becomes ready, because it reads more sensors. Whoever was given up during a fault
+    because it was not ready must first be ready for the dwell without interruption, also when
+    nobody serves.
 
     `since` is the time [ns] at which each channel was last given to another, None before the
     first; `switches` counts that. A new reason is no switch.
@@ -94,8 +95,8 @@ class Switch:
     silent: frozenset[str] = frozenset()
     forced: frozenset[str] = frozenset()
     recovering: Mapping[str, int] = field(default_factory=dict)
-    # by channel: who was given up because it was not ready, and since when it is again
-    lost: Mapping[str, tuple[FaultSet, int | None]] = field(default_factory=dict)
+    # by faulty channel: who was given up because it was not ready, and since when it is again
+    lost: Mapping[str, Mapping[FaultSet, int | None]] = field(default_factory=dict)
     latest: int = 0  # ns, of all times noted here: a clock that shows less was set back
     told: int | None = None  # ns at which the reasons were put in words; None: not up to date
     # by channel: the fault sets that it has a virtual sensor for, the smallest first
@@ -224,10 +225,14 @@ class Switch:
         recovering = {s: t for s, t in self.recovering.items() if not self._over(s, t, time)}
         if len(recovering) < len(self.recovering):
             return replace(self, recovering=recovering, told=None).decide(time, ready, why_not)
-        faulty, ended, blocked = self._force(ready)
+        lost = self._lost(time, ready)
+
+        def may_serve(key: FaultSet, channel: str) -> bool:
+            return key not in lost.get(channel, ()) and ready(key, channel)
+        faulty, ended, blocked = self._force(may_serve)
+        lost = {s: keys for s, keys in lost.items() if s in faulty}
         may = {s: self._candidates(faulty, s) for s in self.sensors if s in faulty}
-        lost = self._lost(may, time, ready)
-        servers = {s: self._choose(s, may[s], len(may), s in lost, ready) for s in may}
+        servers = {s: self._choose(s, may[s], len(may), may_serve) for s in may}
         servers.update(dict.fromkeys(self.faulty - faulty, _REAL))
         changed = [s for s, server in servers.items()
                    if server != (self.decisions[s].source, self.decisions[s].fault_set)]
@@ -263,8 +268,8 @@ class Switch:
         return replace(
             self, latest=time, told=None,
             recovering={s: min(t, time) for s, t in self.recovering.items()},
-            lost={s: (key, None if t is None else min(t, time))
-                  for s, (key, t) in self.lost.items()},
+            lost={s: {key: None if t is None else min(t, time) for key, t in keys.items()}
+                  for s, keys in self.lost.items()},
             since={s: None if t is None else min(t, time) for s, t in self.since.items()})
 
     def _dwell(self, name: str) -> int:
@@ -301,30 +306,27 @@ class Switch:
                     return channel
         return None
 
-    def _lost(self, may: Mapping[str, tuple[FaultSet, ...]], time: int,
-              ready: Ready) -> dict[str, tuple[FaultSet, int | None]]:
-        """Note which exact set's virtual sensor was given up, until it has been ready again."""
-        lost: dict[str, tuple[FaultSet, int | None]] = {}
-        for name, candidates in may.items():
-            exact = candidates[0] if candidates and len(candidates[0]) == len(may) else ()
-            given_up, again = self.lost.get(name, ((), None))
-            serves = exact and self.decisions[name].fault_set == exact
-            if not exact or not (serves or given_up == exact):
-                continue
-            if not ready(exact, name):
-                lost[name] = exact, None
-            elif given_up == exact:
-                again = time if again is None else again
-                if time - again < self._dwell(name):
-                    lost[name] = exact, again
-        return lost
+    def _lost(self, time: int, ready: Ready) -> dict[str, dict[FaultSet, int | None]]:
+        """Note by channel who was given up, until it has been ready again for the dwell."""
+        found: dict[str, dict[FaultSet, int | None]] = {}
+        for name, d in self.decisions.items():
+            keys = {key: (time if since is None else since) if ready(key, name) else None
+                    for key, since in self.lost.get(name, {}).items()}
+            if d.source is Source.VIRTUAL and self.faulty.issubset(d.fault_set) and \
+                    not ready(d.fault_set, name):
+                keys[d.fault_set] = None
+            keys = {key: since for key, since in keys.items()
+                    if since is None or time - since < self._dwell(name)}
+            if keys:
+                found[name] = keys
+        return found
 
-    def _choose(self, name: str, candidates: tuple[FaultSet, ...], size: int, lost: bool,
+    def _choose(self, name: str, candidates: tuple[FaultSet, ...], size: int,
                 ready: Ready) -> tuple[Source, FaultSet]:
         """Choose the virtual sensor that serves when so many sensors are faulty."""
         present = self.decisions[name].fault_set
         if present in candidates and ready(present, name) and (
-                present == candidates[0] or len(candidates[0]) > size or lost
+                present == candidates[0] or len(candidates[0]) > size
                 or not ready(candidates[0], name)):  # the exact set's is the smallest
             return Source.VIRTUAL, present
         for key in candidates:
@@ -376,6 +378,10 @@ class Switch:
         if isinstance(entry, Refusal):
             return entry.reason
         if entry is not None:
+            again = self.lost.get(name, {}).get(fault_set)
+            if again is not None:
+                return (f'ready again for {(self.latest - again) * 1e-9:.1f} s, serves after '
+                        f'{self.policies[name].dwell:.1f} s')
             return why_not(fault_set, name) or 'was not ready until just now'
         failed = (s if s in self.reported else f'{s} ({self._why(s)})' for s in fault_set)
         return f'no design for the faulty sensors {", ".join(failed)}'

@@ -17,7 +17,9 @@ def started(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
 
     A state is spread evenly over its range in the plant. One without a range differs from its
     initial value by a standard deviation of its natural size (see noise.py), of the initial value
-    or of the operating point, whichever is most. What readings tell of it at the start is taken
+    or of the operating point, whichever is most: 100 times the noise where nothing else is known.
+    So give ranges: a state that is further off than that makes the estimate worse, while it
+    converges, than its standard deviation says. What readings tell of it at the start is taken
     off, and their noise added.
     """
     if not sensor.order:
@@ -31,9 +33,11 @@ def started(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     low, high = plant.ranges.T
     known = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)
-    spread = ((high - low) / 2)**2 / 3 + ((high + low) / 2 - plant.initial)**2
+    spread = np.where(known, ((high - low) / 2)**2 / 3, size**2)
+    # one error of the whole start, not one for each state
+    off = np.where(known, (high + low) / 2 - plant.initial, 0.0)
     unknown = sensor.Phi - sensor.z0_gain @ plant.C[rows]
     reading = (noise.reading * problem.y0_size)**2
-    start = (unknown * np.where(known, spread, size**2)) @ unknown.T \
+    start = unknown @ (np.diag(spread) + np.outer(off, off)) @ unknown.T \
         + (sensor.z0_gain * reading) @ sensor.z0_gain.T
     return replace(sensor, start=(start + start.T) / 2)

@@ -57,6 +57,12 @@ class NodeClock:
         self.jumps['forwards' if ahead > 0 else 'backwards'] += 1
         return ahead
 
+    def resume(self) -> None:
+        """Read the clock after a rest: what has passed meanwhile is no jump ahead."""
+        now = self._read()
+        if now is not None and now > self.now > 0:
+            self.now, self._still = now, False
+
     def lasting(self, at: int | None = None) -> int:
         """Return what had passed at a time on this clock, its jumps taken out; by default now."""
         return (self.now if at is None else at) - self._begin

@@ -26,6 +26,11 @@ LEVELS = {
 }
 WINDOW = 60.0  # s that count as lately
 MANY = 6  # switches of a channel lately that are a whipsaw: three faults
+STATES = {
+    'inactive': 'inactive; nothing goes out',
+    'starting': 'starting; nothing goes out before it is known what isolation said',
+    'active': 'active',
+}
 LOOP = 'the loop'  # name of the status that is about no channel; no sensor can be called so
 
 
@@ -133,18 +138,18 @@ def _remedies(channel: ChannelState, scene: Scene) -> list[str]:
     return remedies or [f'repair {name}']
 
 
-def describe_loop(health: Health, active: bool, left_out: int, complaints: Collection[str]
+def describe_loop(health: Health, state: str, left_out: int, complaints: Collection[str]
                   ) -> Report:
-    """Say how the node keeps up; `left_out` ticks lately."""
-    parts = ['active' if active else 'inactive; nothing goes out']
-    if active and health.ticks == 0:
+    """Say how the node keeps up, in a state of STATES; `left_out` ticks lately."""
+    parts = [STATES[state]]
+    if state == 'active' and health.ticks == 0:
         parts.append('no tick yet; with use_sim_time, check that /clock is published')
     if left_out:
         parts.append(f'{left_out} ticks left out in {WINDOW:g} s: this computer is too busy; '
                      'lower the rate, or give the node more of it')
     parts += complaints
     level = DiagnosticStatus.OK if parts == ['active'] else DiagnosticStatus.WARN
-    return Report(LOOP, level, '; '.join(parts), '', 'active' if active else 'inactive')
+    return Report(LOOP, level, '; '.join(parts), '', state)
 
 
 def channel_facts(channel: ChannelState, scene: Scene) -> dict[str, object]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 CLOCKS_APART = 1_000_000_000  # ns; stamps further than this from ours are another clock's
-PATIENCE = 5_000_000_000  # ns of nothing but stamps that run backwards, then they are believed
+PATIENCE = 5_000_000_000  # ns of nothing but stamps behind an estimate's, then they are believed
 MOST = 64  # sets of channels that came together, kept at hand
+NEVER = -2**63  # ns, before any stamp
 HELD = 10_000_000  # ns by which an estimate may be stamped after its state, at a fault
 
 
@@ -26,10 +27,11 @@ class Driver:
     taken: int = 0  # when it came
     carried: int = 0  # healthy channels in it
     message: Any = None  # the template, decoded, with what was put into it
-    last_sent: int | None = None  # the largest stamp that went out
+    last_sent: int = NEVER  # the stamp that went out last
     offset: int = 0  # of the clock of its stamps to the node's
-    strict: bool = False  # something was composed: from now on stamps increase strictly
+    composed: bool = False  # some of what went out is not as it came
     blocked: int | None = None  # since when all stamps were too old to go out
+    refused: int = NEVER  # the newest of these
     problem: str | None = None  # why nothing goes out, though it should
 
     def keep(self, raw: bytes, carried: int, now: int, max_age: int) -> None:
@@ -40,23 +42,19 @@ class Driver:
     def join(self, other: Driver) -> None:
         """Learn that two were one."""
         self.channels |= other.channels
-        self.strict |= other.strict
-        self.last_sent = max((s for s in (self.last_sent, other.last_sent) if s is not None),
-                             default=None)
+        self.composed |= other.composed
+        self.last_sent = max(self.last_sent, other.last_sent)
         if other.taken > self.taken:
             self.raw, self.message, self.taken = other.raw, other.message, other.taken
 
     def forget(self) -> None:
         """Begin anew after the clock went back; what its messages look like is still so."""
-        self.last_sent = self.blocked = None
-        self.strict, self.offset, self.taken, self.carried = False, 0, 0, 0
+        self.last_sent, self.blocked, self.composed = NEVER, None, False
+        self.offset, self.taken, self.carried = 0, 0, 0
 
     def sends(self, stamp: int, now: int) -> None:
         """Note that a live message goes out."""
-        self.offset = stamp - now
-        if self.last_sent is None or self.last_sent < stamp or \
-                self.last_sent - stamp > CLOCKS_APART:
-            self.last_sent = stamp
+        self.offset, self.last_sent, self.blocked = stamp - now, stamp, None
 
     @property
     def apart(self) -> bool:
@@ -70,25 +68,33 @@ class Driver:
         at_once: may be later by HELD, if only so it is newer than what went out.
         """
         stamp = time + self.offset if self.apart else time
-        if at_once and self.last_sent is not None and 0 <= self.last_sent - stamp < HELD:
+        if at_once and 0 <= self.last_sent - stamp < HELD:
             return self.last_sent + 1
         return stamp
 
-    def in_order(self, stamp: int, now: int, warn: Callable[[float], None]) -> bool:
+    def in_order(self, stamp: int, now: int, max_age: int,
+                 warn: Callable[[float], None]) -> bool:
         """
-        Tell whether a message with this stamp may go out; after PATIENCE, it may.
+        Tell whether a message with this stamp may go out: when it is newer than what went out.
 
-        warn: is told, then, by how many seconds the stamps step back.
+        A clock that was set back is believed when for max_age nothing but older stamps has come,
+        and they go on increasing; behind estimates, and by less than CLOCKS_APART, which passes
+        by itself, for PATIENCE. warn: is told, then, by how many seconds the stamps step back.
         """
-        if self.last_sent is None or stamp > self.last_sent:
+        if stamp > self.last_sent:
             self.blocked = None
             return True
         if self.blocked is None:
-            self.blocked = now
-        if now - self.blocked < PATIENCE:
+            self.blocked, self.refused = now, stamp
+        goes_on = stamp > self.refused
+        if goes_on:  # else it is late itself, and says nothing of the clock
+            self.refused, self.offset = stamp, stamp - now
+        back = self.last_sent - stamp
+        patience = PATIENCE if self.composed or back <= CLOCKS_APART else max_age
+        if not goes_on or now - self.blocked < patience:
             return False
-        warn((self.last_sent - stamp) * 1e-9)
-        self.blocked = self.last_sent = None
+        warn(back * 1e-9)
+        self.blocked, self.last_sent = None, NEVER
         return True
 
 

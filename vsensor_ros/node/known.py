@@ -107,7 +107,7 @@ GENERAL: Mapping[str, Known] = {
         'that the output steps', 's', 0.0, 3600.0, live=True),
     'recovery.policy': Known(
         str, 'automatic', 'when a sensor reported healthy is believed again: automatic (after '
-        'the dwell), hold (when cleared by service after the dwell), latched (after a reset)',
+        'the dwell), hold (when cleared by service), latched (after a reset)',
         choices=RECOVERY, live=True),
     'recovery.dwell': Known(
         float, 2.0, 'time without interruption that a sensor must be reported healthy before it '

@@ -166,7 +166,7 @@ class ManagedNode(LifecycleNode):
         assert self.replacer is not None and self.reporter is not None
         gc.collect()
         gc.freeze()  # what is there stays; looking through it again would hold up the loop
-        self.replacer.activate()
+        self.replacer.activate(patient=True)
         self.reporter.turn(active=True)
         self.active.set()
 

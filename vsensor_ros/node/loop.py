@@ -9,7 +9,6 @@ more than a message does.
 from __future__ import annotations
 
 from contextlib import ExitStack
-import gc
 import sys
 from threading import Event
 import time
@@ -20,7 +19,6 @@ from vsensor_ros.node.replacer import Replacer
 
 LONGEST = 50_000_000  # ns of a wait: that soon it sees that it is to stop
 OFTEN = 500_000  # ns between messages, in the mean, below which it sleeps instead of waiting
-CLOSE = 600_000  # ns before a tick that is to send, from which on messages wait
 LONGEST_PAUSE = 2_000_000  # ns
 SHARE = 4  # a pause lasts that many times as long as the poll before
 SWITCH_INTERVAL = 0.0001  # s that another thread may keep the interpreter from the loop
@@ -28,8 +26,6 @@ SWITCH_INTERVAL = 0.0001  # s that another thread may keep the interpreter from 
 
 def run(replacer: Replacer, stop: Event, active: Event) -> None:
     """Poll until told to stop, or not active any more."""
-    gc.collect()
-    gc.freeze()  # what is there stays; looking through it again would cost milliseconds
     sys.setswitchinterval(SWITCH_INTERVAL)
     with ExitStack() as stack:
         handles = [subscription.handle for subscription in replacer.subscriptions]
@@ -38,6 +34,7 @@ def run(replacer: Replacer, stop: Event, active: Event) -> None:
         waiting = _rclpy.WaitSet(len(handles), 0, 0, 0, 0, 0, replacer.node.context.handle)
         stack.enter_context(waiting)
         ready: list[int] | None = None  # all, at first
+        simulated = replacer.clock.simulated
         interval, last = 10 * OFTEN, time.monotonic_ns()  # between messages, in the mean
         while active.is_set() and not stop.is_set():
             begin = time.monotonic_ns()
@@ -45,15 +42,8 @@ def run(replacer: Replacer, stop: Event, active: Event) -> None:
             if taken:
                 interval += ((begin - last) // taken - interval) // 16
                 last = begin
-            due = replacer.ticks.due
-            left = LONGEST if due is None else max(0, min(LONGEST, due - time.time_ns()))
-            if due is not None and replacer.serves:
-                if left < CLOSE:
-                    replacer.prepare()
-                    time.sleep(max(0, due - time.time_ns()) * 1e-9)
-                    ready = []
-                    continue
-                left -= CLOSE
+            left = LONGEST if simulated else max(0, min(
+                LONGEST, replacer.ticks.due - time.time_ns()))
             if interval < OFTEN and begin - last < LONGEST_PAUSE:
                 work = time.monotonic_ns() - begin
                 time.sleep(min(max(OFTEN, SHARE * work), LONGEST_PAUSE, left) * 1e-9)

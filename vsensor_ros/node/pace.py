@@ -7,6 +7,7 @@ import math
 import time
 
 LAST = 1000  # ticks that the figures are of
+AWAKE = 150_000  # ns before the time, from which on it waits awake: a sleep ends late
 
 
 class Pace:
@@ -17,15 +18,31 @@ class Pace:
         self.overruns = 0  # ticks left out
         self._begun: deque[int] = deque(maxlen=LAST)
         self._spent: deque[int] = deque(maxlen=LAST)
+        self._before = 0  # spent before it waited
+
+    def rest(self) -> None:
+        """Forget when ticks began: the next interval is none."""
+        self._begun.clear()
 
     def begin(self) -> None:
         """Note that a tick begins."""
         self.ticks += 1
+        self._before = 0
         self._begun.append(time.perf_counter_ns())
+
+    def wait(self, left: int) -> None:
+        """Wait in a tick [ns]; it counts as begun when that is over, though some of it is done."""
+        begin = time.perf_counter_ns()
+        self._before = begin - self._begun[-1]
+        if left > AWAKE:
+            time.sleep((left - AWAKE) * 1e-9)
+        while time.perf_counter_ns() < begin + left:
+            pass
+        self._begun[-1] = time.perf_counter_ns()
 
     def end(self) -> None:
         """Note that it is done."""
-        self._spent.append(time.perf_counter_ns() - self._begun[-1])
+        self._spent.append(time.perf_counter_ns() - self._begun[-1] + self._before)
 
     def step(self) -> tuple[float, float, float]:
         """Return the median, the 99th percentile and the largest of the costs [s]."""

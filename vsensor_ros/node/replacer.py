@@ -31,6 +31,7 @@ from vsensor_ros.node.polling import LISTEN, Polled, SimulatedTime, subscribe
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC
 from vsensor_ros.node.reports import kind_of, Reports
 from vsensor_ros.node.snapshot import channel_states, health, Rates, source
+from vsensor_ros.node.start import Start
 from vsensor_ros.node.state import ChannelState, Health
 from vsensor_ros.node.ticks import Ticks
 from vsensor_ros.node.topics import open_streams, Stream, Substitute
@@ -66,7 +67,7 @@ class Replacer:
         self.counts = self.log.counts
         self._period = self.bank.period
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
-        self._sources: list[str] = []  # as last seen
+        self._sources: list[tuple[str, int]] = []  # as last seen, with the switches
         self._looked = 0  # when that was
         self._rates = Rates()
         try:
@@ -91,7 +92,7 @@ class Replacer:
             s.name: Channel(s.name, max(round(settings.max_age[s.name] * 1e9), 3 * self._period),
                             blend) for s in settings.sensors}
         self.streams = open_streams(node, group, settings.sensors, self.channels_of, self.clock,
-                                    self.log.say)
+                                    self.log.say, self.ticks.hold)
         self._watch(self.live)
         self.commands: list[tuple[Command, Reader, Subscription]] = [
             (c, Reader(c.kind, [c.accessor.path]), subscribe(node, group, c.kind, c.topic, LISTEN))
@@ -100,6 +101,9 @@ class Replacer:
             node, group, settings.isolation_topic, kind_of(settings.isolation_type, DIAGNOSTICS),
             self.bank.sensors, settings.isolation_topic == DIAGNOSTICS_TOPIC,
             lambda text: self.log.say(text, subject='isolation'))
+        self.start = Start(
+            self.reports, lambda: any(s.heard(name) for s in self.streams for name in s.names),
+            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
         takers: list[tuple[Subscription, Callable[[], int]]] = [
             *((s, self._take_isolation) for s in self.reports.subscriptions),
@@ -122,20 +126,35 @@ class Replacer:
 
     # ------------------------------------------------------------------- what may be asked of it
 
-    def activate(self) -> None:
-        """Send from now on. What came in meanwhile is old: it is read, but not sent."""
+    def activate(self, patient: bool = False) -> None:
+        """
+        Send from now on. What came in meanwhile is old: it is read, but not sent.
+
+        patient: wait until it is known what isolation said before.
+        """
         with self.lock:
+            self.clock.resume()
+            if self.bank.time is not None:  # nobody polled it meanwhile
+                self._restart()
+                self.ticks.restart()
+                self.pace.rest()
+                self.intake.forget()
             self.poll()
-            self._set_active(True)
+            if patient:
+                self.start.begin()
+            else:
+                self._set_active(True)
 
     def deactivate(self) -> None:
         """Send nothing from now on."""
         with self.lock:
+            self.start.end()
             self._set_active(False)
 
     def _set_active(self, active: bool) -> None:
         for stream in self.streams:
             stream.active = active
+        self.changed()
 
     def force(self, name: str) -> None:
         """Treat a sensor as faulty until released; raises ValueError, one line, and KeyError."""
@@ -199,10 +218,12 @@ class Replacer:
         last, because time moves on only when all has been said.
         """
         with self.lock:
+            if self.start.is_over():
+                self._set_active(True)
             jump = self.clock.look()
             if jump:
                 self._jumped(jump)
-            if not self.clock.simulated:
+            if self.clock.now >= self.ticks.due and not self.clock.simulated:
                 self._tick()
             taken = 0
             for pointer in self._takers if ready is None else ready:
@@ -210,17 +231,6 @@ class Replacer:
             if self.clock.simulated:
                 self._tick()
             return taken
-
-    @property
-    def serves(self) -> bool:
-        """Whether the next tick is to send something."""
-        return bool(self._believed)
-
-    def prepare(self) -> None:
-        """Redo what late readings have changed, so that only one step is left for the tick."""
-        with self.lock:
-            if self.bank.time is not None:
-                self.bank.advance(self.ticks.time)
 
     def _jumped(self, jump: int) -> None:
         """Start anew: what was read on the old time says nothing of the new one."""
@@ -318,7 +328,8 @@ class Replacer:
 
     def _look_for_change(self) -> None:
         self._looked = self.clock.now
-        sources = [source(self, stream, name) for stream in self.streams for name in stream.names]
+        sources = [(source(self, stream, c.name), c.switches)
+                   for stream in self.streams for c in stream.channels]
         if sources != self._sources:
             self._sources = sources
             self.changed()

@@ -45,17 +45,33 @@ class Reports:
         self._heard: dict[tuple[int, bytes], None] = {}
         self._said: dict[str, int] = {}  # by sensor: when its last message was sent
         self._allowance = isolation.Allowance()
+        self._behind = False  # more has arrived than was looked at
+        self._told = 0  # messages that the transient-local subscription has heard
+        self.heard = False  # anything at all
+        self.not_used = 0  # messages that were not used, or not wholly
+
+    @property
+    def known(self) -> bool:
+        """
+        Whether all that was said before is known, of those who are there and keep what they said.
+
+        A message does not say who sent it: as many as there are publishers will do.
+        """
+        return not self._behind and self._told >= self._late.get_publisher_count()
 
     def take(self, faulty: frozenset[str]) -> frozenset[str]:
         """Return the faulty sensors after all that has arrived."""
-        for raw, info in drain(self._live, MOST):
+        live, late = drain(self._live, MOST), drain(self._late, MOST)
+        self._behind = MOST in (len(live), len(late))
+        self._told += len(late)
+        self.heard = self.heard or bool(live or late)
+        for raw, info in live:
             sent = info['source_timestamp']
             if len(self._heard) >= _TWICE:
                 del self._heard[next(iter(self._heard))]
             self._heard[sent, raw] = None
             faulty = self._apply(raw, sent, faulty, self._sensors)
-        late = [(info['source_timestamp'], raw) for raw, info in drain(self._late, MOST)]
-        for sent, raw in sorted(late):
+        for sent, raw in sorted((info['source_timestamp'], raw) for raw, info in late):
             if (sent, raw) in self._heard:
                 del self._heard[sent, raw]
             else:
@@ -85,6 +101,7 @@ class Reports:
         for name in spoken:
             self._said[name] = max(sent, self._said.get(name, 0))
         if said.problems:
+            self.not_used += 1
             self._say(f'{self.topic}: {"; ".join(said.problems)}')
         return said.faulty
 

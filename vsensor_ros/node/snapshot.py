@@ -91,4 +91,4 @@ def health(replacer: Replacer) -> Health:
         replacer.settings.rate, pace.achieved(), *pace.step(), pace.jitter(replacer.bank.period),
         pace.overruns, dict(replacer.clock.jumps),
         tuple(s for s in switch.sensors if s in switch.faulty), pace.ticks,
-        replacer.estimates.count)
+        replacer.estimates.count, replacer.reports.not_used)

@@ -48,3 +48,4 @@ class Health:
     faulty: tuple[str, ...]  # the effective set, in the design's order
     ticks: int
     estimates: int  # that went out
+    not_used: int  # messages of isolation that were not used, or not wholly

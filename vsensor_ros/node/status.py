@@ -105,17 +105,20 @@ class Reporter:
         now = self._reported = time.monotonic()
         with self.replacer.lock:
             channels, health = self.replacer.channels(), self.replacer.health()
+            state = 'inactive' if not self.active else \
+                'starting' if self.replacer.start.waits else 'active'
         scene = self._scene(channels, health, now)
         sharing = defaultdict(set)
         for channel in channels:
             sharing[channel.topic].add(channel.name)
-        reports = [describe(c, scene, sharing[c.topic]) for c in channels] if self.active else []
-        loop = describe_loop(health, self.active, self._lately.grown(LOOP, health.overruns, now),
+        reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
+            if state == 'active' else []
+        loop = describe_loop(health, state, self._lately.grown(LOOP, health.overruns, now),
                              self._about(None))
         stamp = self.node.get_clock().now().nanoseconds
         prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
         told = list(zip(channels, reports))
-        pace = _health_facts(health, loop.source)
+        pace = _health_facts(health, state)
         self.status.publish(encode(
             [*((c.name, r, _status_facts(c)) for c, r in told), (NODE, loop, pace)], stamp))
         self.diagnostics.publish(encode(
@@ -209,6 +212,7 @@ def _health_facts(health: Health, state: str) -> Mapping[str, object]:
         'overruns': health.overruns,
         'ticks': health.ticks,
         'estimates': health.estimates,
+        'not_used': health.not_used,
         'faulty': ' '.join(health.faulty),
         **{f'clock_{way.replace(" ", "_")}': count for way, count in health.jumps.items()},
     }

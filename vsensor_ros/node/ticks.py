@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+import time
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.node.clock import NodeClock
@@ -10,7 +11,8 @@ from vsensor_ros.node.pace import Pace
 
 CATCH_UP = 10  # ticks made good one by one when the loop or the clock is late; else the newest
 SLACK = 0.25  # of a period that a tick waits for readings: a held one is a small step behind
-LONGEST_SLACK = 2_000_000  # that it waits at most
+LONGEST_SLACK = 2_500_000  # that it waits at most
+LEAD = 0.6  # of what a tick waits, by which one that is to send begins sooner, and then holds
 TOGETHER = 5  # steps taken at once while nobody needs an estimate
 
 
@@ -29,7 +31,9 @@ class Ticks:
         self._slack = min(round(SLACK * bank.period), LONGEST_SLACK)
         self._last = 0  # tick, while the bank has no grid yet
         self._behind = 0  # by which the state is older than the last tick
-        self._due = 0
+        self._lead = round(LEAD * self._slack)
+        self._sending: int | None = None  # when what the tick sends is due
+        self.due = 0  # by the system's clock: when to look whether there is a tick
 
     @property
     def time(self) -> int:
@@ -37,24 +41,23 @@ class Ticks:
         time = self._bank.time
         return self._last if time is None else time + self._behind
 
-    @property
-    def due(self) -> int | None:
-        """Time of the next tick by the system's clock; None when that is not known."""
-        return None if self._clock.simulated else self._due
-
     def now(self, without: Collection[str]) -> Iterator[int]:
-        """Yield the times of the ticks that are due; their readings, but of those named, come."""
-        now, period = self._clock.now, self._period
-        if now == 0 or (now < self._due and not self._clock.simulated):
+        """
+        Yield the times of the ticks that are due; their readings, but of those named, come.
+
+        Those are the failed ones. If there are such, ticks begin sooner, and `hold` waits.
+        """
+        now, period, simulated = self._clock.now, self._period, self._clock.simulated
+        if now == 0 or (now < self.due and not simulated):
             return  # 0: simulated time has not begun
-        last = self.time
-        if self._clock.simulated:
+        last, wait = self.time, self._slack - (self._lead if without else 0)
+        if simulated:
             missed = (now - last) // period
             if missed == 1 and now < last + period + self._slack and \
                     not self._bank.confirmed(last + period, without):
                 return
         else:  # at a fixed phase, whatever has arrived
-            missed = (now - self._slack - last) // period
+            missed = (now - wait - last) // period
         if missed > CATCH_UP:
             if last:
                 self.pace.overruns += missed - 1
@@ -63,9 +66,18 @@ class Ticks:
             missed = 1
         for i in range(1, missed + 1):  # mostly once
             self.pace.begin()
+            self._sending = None if simulated else last + i * period + self._slack
             yield last + i * period
+            self._sending = None
             self.pace.end()
-        self._due = self.time + period + self._slack
+        self.due = self.time + period + wait
+
+    def hold(self) -> None:
+        """Wait, within a tick, until it is time to send: all else is done then."""
+        if self._sending is not None:
+            left, self._sending = self._sending - time.time_ns(), None
+            if 0 < left <= self._lead:
+                self.pace.wait(left)
 
     def advance(self, at: int, idle: bool) -> None:
         """Bring the bank to a tick; idle: nobody needs it yet."""
@@ -87,4 +99,4 @@ class Ticks:
 
     def restart(self) -> None:
         """Begin anew after the clock jumped."""
-        self._last, self._behind, self._due = self._clock.now, 0, 0
+        self._last, self._behind, self.due = self._clock.now, 0, 0

@@ -53,6 +53,7 @@ class Stream:
     publisher: Publisher
     clock: NodeClock
     say: Callable[[str], None]  # an error
+    hold: Callable[[], None]  # waits until a composed message is due
     active: bool = False  # sends
     failed: frozenset[str] = frozenset()  # channels that are composed
     passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
@@ -68,6 +69,8 @@ class Stream:
         self.kind, self._stamped = kind, has_stamp(kind)
         self.names = tuple(s.name for s in self.sensors)
         self._max_age = {c.name: c.max_age for c in self.channels}
+        self._longest = max(self._max_age.values())
+        self._only = self.drivers.sender(self.names) if len(self.names) == 1 else Driver(set())
         self.absent = tuple(NOT_THERE.format(s.accessor.path) for s in self.sensors)
         self._set_variance = {s.name: compile_variance(kind, s.accessor.path)
                               for s in self.sensors}
@@ -118,10 +121,11 @@ class Stream:
         Returns why a message that should have gone out did not, or None. Raises RuntimeError when
         the middleware cannot send it.
         """
-        now, values = self.clock.now, reading.values
-        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float:
+        now, values, stamp = self.clock.now, reading.values, reading.stamp
+        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float and (
+                stamp is None or stamp > self._only.last_sent):
             self._send(raw)  # mostly it is so, and soon is better
-            self._keep(raw, reading.stamp, float(values[0]), now)
+            self._keep(raw, stamp, float(values[0]), now)
             return None
         if reading.foreign:
             return self._pass_foreign(raw, values[0], now)
@@ -138,9 +142,9 @@ class Stream:
                     now, self._max_age[self.names[0]])
         if failed or not self.active:
             return None  # it goes out in the next message that is composed
-        stamp = reading.stamp
         if stamp is not None:
-            if driver.strict and not driver.in_order(stamp, now, self._step_back):
+            if stamp <= driver.last_sent and not driver.in_order(
+                    stamp, now, self._longest, self._step_back):
                 return NOT_NEWER
             driver.sends(stamp, now)
         if not self.plain:
@@ -152,7 +156,7 @@ class Stream:
         """Note what went out of the one channel there is."""
         (name,) = self.names
         self._latest[name], self._heard[name] = value, now
-        driver = self.drivers.sender(self.names)
+        driver = self._only
         driver.raw, driver.message, driver.taken = raw, None, now
         if stamp is not None:
             driver.sends(stamp, now)
@@ -249,10 +253,9 @@ class Stream:
         if message is None:
             return 'no message of its driver was ever seen, so frame and names are not known'
         stamp = driver.stamp_for(time, at_once)
-        if not driver.in_order(stamp, now, self._step_back):
+        if not driver.in_order(stamp, time, self._longest, self._step_back):
             assert driver.blocked is not None
-            longest = max(self._max_age[name] for name in driver.channels)
-            return NOT_NEWER if now - driver.blocked > longest else None
+            return NOT_NEWER if now - driver.blocked > self._longest else None
         for sensor, channel in zip(self.sensors, self.channels):
             if sensor.name not in driver.channels:
                 continue
@@ -263,11 +266,12 @@ class Stream:
                 return problem
         if self._stamped:
             put_stamp(message, stamp)
-        if driver.apart and not driver.strict:
+        if driver.apart and not driver.composed:
             self.say(f'the stamps on {self.sensors[0].input} are {driver.offset * 1e-9:+.1f} s '
                      'from the clock of this node; the estimates in their place follow them')
+        self.hold()
         self.publisher.publish(message)
-        driver.last_sent, driver.strict = stamp, True
+        driver.last_sent, driver.composed = stamp, True
         return None
 
     def _fill(self, message: Any, sensor: Sensor, channel: Channel, substitute: Substitute,
@@ -306,7 +310,7 @@ class Stream:
 
 def open_streams(node: Node, group: Polled, sensors: Sequence[Sensor],
                  channels: Mapping[str, Channel], clock: NodeClock,
-                 say: Callable[[str], None]) -> tuple[Stream, ...]:
+                 say: Callable[[str], None], hold: Callable[[], None]) -> tuple[Stream, ...]:
     """Create the subscription and the publisher of each topic, once and for all."""
     streams = []
     for topic in dict.fromkeys(sensor.input for sensor in sensors):
@@ -317,5 +321,5 @@ def open_streams(node: Node, group: Polled, sensors: Sequence[Sensor],
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False))
         streams.append(Stream(
             sharing, tuple(channels[s.name] for s in sharing),
-            subscribe(node, group, kind, topic, LISTEN), publisher, clock, say))
+            subscribe(node, group, kind, topic, LISTEN), publisher, clock, say, hold))
     return tuple(streams)

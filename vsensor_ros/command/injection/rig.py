@@ -116,6 +116,7 @@ class Rig:
         self.latest: dict[str, dict[str, str]] = {}     # by channel: what ~/status said last
         self.said: dict[str, str] = {}                  # by name: what /diagnostics said last
         self.statuses = 0   # messages on ~/status
+        self.report()       # a replacer that starts waits for what isolation said before
 
     # ---------------------------------------------------------------------------- the machine
 
