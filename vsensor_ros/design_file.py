@@ -6,6 +6,7 @@ The format is described in ``docs/design_file.md``.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 import json
@@ -137,8 +138,8 @@ def _read_json(path: str | Path) -> Any:
     def no_repeat(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         record = dict(pairs)
         if len(record) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
+            counts = Counter(key for key, _ in pairs)
+            twice = next(key for key, count in counts.items() if count > 1)
             raise BadInput(path, twice, 'stands there twice', _MEND)
         return record
 

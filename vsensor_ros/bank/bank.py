@@ -78,7 +78,8 @@ class Bank:
         if jump_ahead is not None and not jump_ahead > 0.0:
             raise ValueError(f'jump_ahead: {jump_ahead} is not a time in s; give a number above 0')
         self._jump = _LONGEST if jump_ahead is None else max(
-            3, round(min(jump_ahead, 1e9) * 1e9 / self.period))
+            3, min(round(min(jump_ahead, 1e9) * 1e9 / self.period), 10 * _LONGEST))
+        self._recent = np.array([ages[name] for name in design.sensors]) * 0.5e-9
         self._entries = {(frozenset(e.fault_set), e.channel): e for e in design.entries.values()}
         self._stack = stack = make_stack(design, self.period * 1e-9)
         self._step = stack.step
@@ -484,8 +485,8 @@ class Bank:
         """Return the standard deviations (V,) because readings may have moved since they came."""
         ages = self._told.ages_at(self._at(self._past[-1].tick))
         slopes = self._record.slope
-        # before slopes are known: nothing is said of readings that are only a step old
-        slopes = np.where(np.isnan(slopes), np.where(ages > self._seconds, np.inf, 0.0), slopes)
+        # before slopes are known: nothing is said of readings that are far from silent
+        slopes = np.where(np.isnan(slopes), np.where(ages > self._recent, np.inf, 0.0), slopes)
         with np.errstate(all='ignore'):
             held = self._stack.reach(slopes, ages, self._sample_time)
         return np.hypot(held, self._left_of_gaps(self._past[-1].tick)) \

@@ -93,6 +93,12 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
         problems.append(BadInput(where, 'isolation.topic', f'{isolation} is what this node says',
                                  'name the topic of whoever finds the faults'))
     problems.extend(_crossed(sensors, where))
+    outputs = {sensor.output: sensor.name for sensor in sensors}
+    for command in commands:
+        if command.topic in outputs:  # an estimate would come back as what led to it
+            problems.append(BadInput(
+                where, f'commands.{command.name}.topic', f'{command.topic} is where '
+                f'{outputs[command.topic]} goes out', 'name the topic of whoever commands'))
     reserved = {**ROS_TOPICS, **dict.fromkeys([DIAGNOSTICS_TOPIC, *own], DIAGNOSTICS),
                 **({'/clock': 'rosgraph_msgs/msg/Clock'} if sim_time else {})}
     found = Endpoints(tuple(sensors), tuple(commands), isolation)

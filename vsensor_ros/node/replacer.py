@@ -21,7 +21,7 @@ from rclpy.subscription import Subscription
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import Bank, Bumpless, Source, Switch
 from vsensor_ros.node.cdr import Reader
-from vsensor_ros.node.channel import Channel, REAL
+from vsensor_ros.node.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.node.clock import NodeClock
 from vsensor_ros.node.estimates import Estimates
 from vsensor_ros.node.intake import Intake
@@ -35,8 +35,10 @@ from vsensor_ros.node.start import Start
 from vsensor_ros.node.state import ChannelState, Health
 from vsensor_ros.node.ticks import Ticks
 from vsensor_ros.node.topics import open_streams, Stream, Substitute
+from vsensor_ros.virtual_sensor import VirtualSensor
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
+OUT_OF_LINE = 4.0  # standard deviations
 SETTLE = 4  # rounds for decisions and readiness to agree; else the next tick goes on
 GOES_OUT = {'stop': 'nothing goes out', 'hold': 'the last value goes out',
             'nan': 'NaN goes out', 'pass': 'the failed reading goes out'}
@@ -55,7 +57,8 @@ class Replacer:
         self.lock = RLock()
         self.changed: Callable[[], Any] = _nothing  # called when a channel's source changes
         try:
-            self.bank = Bank(settings.design, settings.rate, settings.max_age)
+            self.bank = Bank(settings.design, settings.rate, settings.max_age,
+                             settings.jump_ahead)
         except ValueError as error:
             name, _, problem = str(error).partition(': ')
             problem, _, mend = problem.partition('; ')
@@ -384,11 +387,17 @@ class Replacer:
         value = self.bank.estimate(fault_set, channel.name)
         if value is None:
             return None
-        above = None
+        above, deviation = None, self.bank.deviation(fault_set, channel.name)
         if channel.source == REAL:  # what went out last may be the fault
             known = self.bank.disagreement(fault_set, channel.name)
             above = math.nan if known is None else known
-        return Substitute(value, fault_set, self.bank.deviation(fault_set, channel.name), above)
+        elif channel.source == VIRTUAL and fault_set != channel.fault_set:
+            entry = self.settings.design.entries[channel.fault_set, channel.name]
+            fault = isinstance(entry, VirtualSensor) and self._believed.intersection(entry.reads)
+            left = channel.value - channel.blend.left(self.clock.lasting()) - value
+            if fault and abs(left) > OUT_OF_LINE * deviation:
+                above = math.nan  # what it read was faulty already
+        return Substitute(value, fault_set, deviation, above)
 
     def _sent(self, stream: Stream, send: Callable[..., Any], *given: Any) -> Any:
         """Let a stream send; what the middleware refuses is counted and said."""

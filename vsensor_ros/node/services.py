@@ -17,6 +17,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from vsensor_ros.node.replacer import Replacer
 
+# one for all: rclpy holds each line of code that throttles to the clock it had first
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+
 
 def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tuple[Service, ...]:
     """
@@ -25,8 +28,6 @@ def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tupl
     ``~/reset`` (Trigger), ``~/<sensor>/force`` (SetBool: true for virtual, false to release),
     ``~/<sensor>/clear`` (Trigger). The names in a design are legal in ROS.
     """
-    steady = Clock(clock_type=ClockType.STEADY_TIME)
-
     def answer(response: Any, act: Callable[[], None], done: Callable[[], str]) -> Any:
         """Do it between two polls; what cannot be done is said in the response."""
         try:
@@ -38,7 +39,7 @@ def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tupl
         except ValueError as error:
             response.success, response.message = False, str(error)
         node.get_logger().info(f'asked by service: {response.message}',
-                               throttle_duration_sec=0.1, throttle_time_source_type=steady)
+                               throttle_duration_sec=0.1, throttle_time_source_type=STEADY)
         return response
 
     def state(name: str) -> str:
