@@ -5,6 +5,7 @@ import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Range
+from std_srvs.srv import Trigger
 
 sys.path.append(str(Path(__file__).parent))
 from managed_rig import machines
@@ -50,6 +51,7 @@ def test_a_manager_takes_it_through_its_states_twice(machine):
         assert not heard
         assert m.change('activate') == (True, 'active')
         assert m.spin_until(lambda: heard)
+        assert m.call(Trigger, 'reset').success
         assert m.change('deactivate') == (True, 'inactive')
         assert m.change('cleanup') == (True, 'unconfigured')
         assert '/y1' not in topics(m) and '/replacer/status' not in topics(m)

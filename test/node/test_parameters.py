@@ -110,6 +110,8 @@ def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
       'sensors.y2.field': 'temperature'}, 'a topic has one type'),
     ({'isolation.topic': '/y1'}, 'DiagnosticArray, but /y1 carries sensor'),
     ({'commands.u1.topic': '/y1_raw'}, 'commands.u1.type: is std_msgs/msg/Float64, but /y1_raw'),
+    ({'commands.u1.topic': '/y1', 'commands.u1.type': 'sensor_msgs/msg/Range',
+      'commands.u1.field': 'range'}, 'commands.u1.topic: /y1 is where y1 goes out'),
     ({'isolation.type': 'std_msgs/msg/Bool'}, 'is not a choice'),
     ({'sensors.y1.type': 'sensor_msgs/msg/Rnge'}, 'did you mean Range?'),
     ({'sensors.y1.type': 'os/msg/Path'}, 'no package of interfaces'),

@@ -94,6 +94,27 @@ def test_no_step_between_two_virtual_sensors(rig, parameters):
     assert np.abs(np.diff(r.values(heard)[5:])).max() < 0.03  # what a period changes, no more
 
 
+def test_what_a_second_fault_did_to_an_estimate_is_not_carried_on(
+        rig, parameters, plan, tmp_path):
+    entry = plan[('y1',), 'y1']
+    half_of_y2 = replace(entry, Q=np.array([[0.5, 0.0]]), Cv=np.zeros((1, 1)))
+    path = tmp_path / 'design.json'
+    replace(plan, entries={**plan.entries, (('y1',), 'y1'): half_of_y2}).save(path)
+    r = rig({**parameters, 'design_file': str(path), 'time_constant': 1.0})
+    heard = r.listen(RANGE, '/y1')
+    r.command(0.5)
+    r.step(*r.healthy(), periods=LONG)
+    r.isolate('y1')
+    r.step(*r.healthy(), periods=5)
+    r.step(*r.healthy(y2=51.0), periods=2)
+    r.isolate('y1', 'y2')
+    r.step(*r.healthy(y2=51.0), periods=3)
+    assert r.spin_until(lambda: len(heard) >= LONG + 10)
+    values = np.array(r.values(heard))
+    assert values[LONG + 5:].max() > 20.0  # nobody knew yet
+    np.testing.assert_allclose(values[-3:], 0.5, atol=0.01)
+
+
 def test_an_offset_fades_in_a_message_of_several(rig, joint_parameters):
     r = rig({**joint_parameters, 'time_constant': 0.1})
     heard = r.listen('sensor_msgs/msg/JointState', '/joint_states')
