@@ -41,7 +41,8 @@ def read_wiring(path: Path) -> Wiring:
     try:
         given = dict(_leaves(_parameters(yaml.safe_load(path.read_text(encoding='utf-8')))))
         ports = {}
-        names = (key.rpartition('.')[0] for key in given if key.endswith('.field'))
+        names = (key.rpartition('.')[0] for key in given
+                 if key.startswith(('sensors.', 'commands.')))
         for place in dict.fromkeys(names):
             group, _, name = place.partition('.')
             kind = message_type(given[f'{place}.type'], where, f'{place}.type')
