@@ -104,6 +104,12 @@ def test_silence_is_stale_and_nothing_else_is(plan, virtual):
         REAL, virtual, replace(REAL, source='none'))}
 
 
+def test_a_silent_driver_of_a_virtual_channel_is_said(plan, virtual):
+    reason = 'isolated; its driver has been silent for 4.0 s'
+    assert told(replace(virtual, reason=reason), scene(plan, 'y2'))[1].endswith(
+        'good to 0.021 rad; its driver has been silent for 4.0 s; repair y2')
+
+
 def test_what_others_do_on_its_topics_and_whipsaw_are_warnings(plan, virtual):
     level, message = told(REAL, scene(plan, complaints=['/y2: /b/replacer publishes there too']))
     assert level == WARN and message == 'real; /y2: /b/replacer publishes there too'
@@ -123,6 +129,10 @@ def test_the_loop():
     assert report.level == WARN and '7 ticks left out in 60 s' in report.message
     assert report.message.endswith('/u1: /x uses the type A, this node B')
     assert '/clock' in describe_loop(replace(HEALTH, ticks=0), 'active', 0, []).message
+    report = describe_loop(replace(HEALTH, clock_age=3.0), 'active', 0, [])
+    assert report.level == WARN and 'stands still: no /clock since 3.0 s' in report.message
+    report = describe_loop(HEALTH, 'active', 0, [], 12)
+    assert report.level == WARN and '12 messages of isolation thrown away' in report.message
 
 
 def test_facts(plan, virtual):

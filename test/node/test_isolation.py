@@ -1,5 +1,8 @@
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hypothesis import given, strategies as st
 import pytest
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from vsensor_ros.node.isolation import (
     Allowance,
@@ -7,6 +10,8 @@ from vsensor_ros.node.isolation import (
     from_text,
     LARGEST,
     MOST_STATUSES,
+    names_one,
+    names_one_in_text,
     PER_SECOND,
     TOO_LARGE,
     TOO_MUCH,
@@ -123,3 +128,16 @@ def test_a_message_that_is_too_large_costs_nothing():
         allowance, reason = allowance.admit(LARGEST, SECOND)
         assert reason is None
     assert allowance.admit(1, SECOND)[1] == TOO_MUCH
+
+
+def test_a_sensor_is_found_in_the_bytes_by_its_whole_name():
+    def raw(*names):
+        return serialize_message(DiagnosticArray(
+            status=[DiagnosticStatus(name=name, message='of y1 it says') for name in names]))
+
+    assert names_one(raw('other', 'y1'), ['y1', 'y2'])
+    assert not names_one(raw('y11', 'xy1', 'replacer: y1'), ['y1', 'y2'])
+    assert names_one(b'\0\0\0\0\0\0\0\3y1\0', ['y1'])  # big endian
+    for text in ('', ' , ', 'y1'):
+        assert names_one_in_text(serialize_message(String(data=text)), ['y1'])
+    assert not names_one_in_text(serialize_message(String(data='q')), ['y1'])

@@ -138,3 +138,22 @@ def test_a_wall_clock_set_back(rig, parameters, capfd, monkeypatch):
     assert 'the clock jumped back by' in capfd.readouterr().err
     ticks = r.replacer.pace.ticks
     assert r.spin_until(lambda: r.replacer.pace.ticks > ticks)  # it goes on
+
+
+def test_a_clock_that_stands_still_is_said(rig, parameters, monkeypatch):
+    r = rig(parameters)
+    r.step(*r.healthy(), periods=5)
+    r.isolate('y2')
+    r.step(*r.healthy(), periods=5)
+    assert r.told()['y2'].source == 'virtual'
+    moved = r.replacer.clock_age
+    monkeypatch.setattr(r.replacer, 'clock_age', lambda: 3.0 + moved())
+    told = r.told()['y2']
+    assert told.source == 'none'
+    assert told.reason == 'the clock stands still: no /clock since 3.0 s; nothing goes out'
+    monkeypatch.undo()
+    before = r.replacer.clock_age()
+    r.spin(0.3)
+    assert r.replacer.clock_age() >= before + 0.3
+    r.step(*r.healthy())
+    assert r.replacer.clock_age() < before + 0.3 and r.told()['y2'].source == 'virtual'

@@ -185,3 +185,15 @@ def test_a_tick_waits_for_the_readings_of_its_time(rig, parameters):
         r.send(r.now, value, topic)
     assert r.spin_until(lambda: len(heard) == before + 1)
     assert r.stamps(heard)[-1] == r.now and r.values(heard)[-1] == 1.5
+
+
+def test_a_driver_that_sends_nothing_but_nan_is_silent(rig, parameters):
+    r = rig(parameters)
+    r.step(*r.healthy(), periods=5)
+    r.step(*r.healthy(y2=math.nan), periods=2)
+    assert r.told()['y2'].source == 'real'  # one may happen
+    r.step(*r.healthy(y2=math.nan), periods=58)
+    told = r.told()['y2']
+    assert told.source == 'silent' and told.reason == 'nothing but NaN arrives on /y2_raw'
+    r.step(*r.healthy())
+    assert r.told()['y2'].source == 'real'

@@ -118,3 +118,24 @@ def test_a_fault_of_something_that_is_no_sensor(rig, parameters, topic, capfd):
         r.spin(0.02)
     assert capfd.readouterr().err.count('is not a sensor') == (topic == '/isolation')
     assert r.replacer.health().not_used == 5 * (topic == '/isolation')
+
+
+def test_a_flood_about_others_leaves_room_for_what_is_true(rig, parameters, monkeypatch):
+    monkeypatch.setattr('vsensor_ros.node.reports.time.monotonic_ns', lambda: 10**9)
+    r = rig(parameters)
+    r.step(*r.healthy(), periods=3)
+    faulty, reports = frozenset(), r.replacer.reports
+    flood, true = r.raw(statuses(q=2)), r.raw(statuses(y1=2))
+    for i in range(2000):
+        faulty = reports.late(i + 1, flood, faulty)
+    assert reports.late(3000, true, faulty) == {'y1'}
+    health = r.replacer.health()
+    assert health.not_used == 2000 and 1000 < health.thrown_away < 2000
+
+
+def test_what_others_say_on_a_shared_topic_is_thrown_away_by_nobody(rig, parameters):
+    r = rig({**parameters, 'isolation.topic': '/diagnostics'})
+    raw = r.raw(statuses(q=2))
+    for i in range(2000):
+        r.replacer.reports.late(i + 1, raw, frozenset())
+    assert r.replacer.health().not_used == r.replacer.health().thrown_away == 0

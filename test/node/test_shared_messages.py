@@ -63,6 +63,48 @@ def test_messages_of_other_joints_and_short_arrays(rig, joint_parameters):
     assert decode(JointState, heard[-1]).position[1] == 1.5
 
 
+def test_numbers_without_names_are_not_those_of_other_joints(rig, joint_parameters):
+    r = rig(joint_parameters)
+    heard = r.listen('sensor_msgs/msg/JointState', '/joint_states')
+    r.step(r.arm(0.5, 1.0), r.healthy()[2], periods=5)
+    r.isolate('y2')
+    before = len(heard)
+    for name in ([], ['finger']):  # there is more than one number
+        r.step(('/joint_states_raw', JointState(name=name, position=[0.0, 99.0, 0.5])),
+               r.healthy()[2])
+    assert len(heard) > before
+    for raw in heard[before:]:
+        m = decode(JointState, raw)
+        assert m.name == ['wrist', 'elbow', 'shoulder'] and 99.0 not in m.position
+
+
+def test_nothing_measured_is_repeated_for_a_driver_that_is_silent(rig, joint_parameters):
+    """The wrist is no sensor: its number is known to be measured because it has changed."""
+    r = rig(joint_parameters)
+    heard = r.listen('sensor_msgs/msg/JointState', '/joint_states')
+    r.command(0.0)
+    for i in range(5):
+        topic, message = r.arm(0.5, 1.0, float(i))
+        message.velocity = [0.0, 7.0, float(i)]
+        r.step((topic, message), r.healthy()[2])
+    r.isolate('y1')
+    r.step(r.healthy()[2], periods=40)  # not yet max_age
+    assert decode(JointState, heard[-1]).position[0] == 4.0
+    assert 'silent' not in r.told()['y1'].reason
+    r.step(r.healthy()[2], periods=20)
+    last = decode(JointState, heard[-1])
+    assert math.isnan(last.position[0]) and all(map(math.isnan, last.effort))
+    assert list(last.velocity[:2]) == [0.0, 7.0] and math.isnan(last.velocity[2])
+    assert 0.0 < last.position[2] < 0.5 and last.header.frame_id == 'base'  # the estimate
+    told = r.told()['y1']
+    assert told.source == 'virtual'
+    assert told.reason.endswith('; its driver has been silent for 0.6 s')
+    r.step(r.arm(0.5, 1.0, 9.0), r.healthy()[2], periods=2)
+    last = decode(JointState, heard[-1])
+    assert last.position[0] == 9.0 and list(last.effort) == [9.0] * 3
+    assert 'silent' not in r.told()['y1'].reason
+
+
 def empty_effort(i):
     return ['wrist', 'elbow', 'shoulder'], [i, 99.0, 0.75], []
 

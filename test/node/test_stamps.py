@@ -6,7 +6,7 @@ from sensor_msgs.msg import JointState, Range
 
 from vsensor_ros.node.accessor import put_stamp
 from vsensor_ros.node.cdr import decode
-from vsensor_ros.node.topics import NOT_NEWER
+from vsensor_ros.node.topics import FROM_THE_FUTURE, NOT_NEWER
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
@@ -51,20 +51,21 @@ def test_estimates_are_newer_than_the_newest_live_message(rig, parameters):
     r = rig(parameters)
     heard = r.listen(RANGE, '/y2')
     r.step(*r.healthy(), periods=5)
-    newest = r.now + 300_000_000
+    newest = r.now + 200_000_000
     r.send(newest)
     r.send(r.now + 1)  # late, and not sent on
     assert r.spin_until(lambda: len(heard) == 6)
     r.isolate('y2')
     r.step(*r.healthy()[::2], periods=40)
-    assert r.stamps(heard)[6:] == [newest + (i + 1) * PERIOD for i in range(10)]
+    assert r.stamps(heard)[6:] == [newest + (i + 1) * PERIOD for i in range(20)]
 
 
 def test_estimates_that_have_to_wait_are_said_to(rig, parameters):
     r = rig(parameters)
     heard = r.listen(RANGE, '/y2')
     r.step(*r.healthy(), periods=5)
-    r.send(r.now + 900_000_000)
+    for i in range(3):  # more than a mistake
+        r.send(r.now + 900_000_000 + i)
     r.isolate('y2')
     r.step(*r.healthy()[::2], periods=80)
     r.spin()
@@ -105,6 +106,22 @@ def test_one_stamp_from_far_away_silences_for_max_age_at_most(rig, parameters, i
     r.step(*r.healthy(), periods=10)
     assert r.spin_until(lambda: len(heard) >= 5)
     assert r.stamps(heard)[-4:] == [r.now - i * PERIOD for i in range(3, -1, -1)]
+
+
+@pytest.mark.parametrize('ahead', [900_000_000, 100 * 10**9])
+def test_a_single_stamp_from_the_future_does_no_harm(rig, parameters, ahead):
+    r = rig(parameters)
+    heard = r.listen(RANGE, '/y2')
+    r.step(*r.healthy(), periods=5)
+    r.send(r.now + ahead, 7.0)
+    r.step(*r.healthy(), periods=5)
+    assert r.spin_until(lambda: len(heard) == 10)
+    assert r.replacer.counts['y2', FROM_THE_FUTURE] == 1
+    r.send(r.now + ahead, 7.0)  # the last thing it says
+    r.isolate('y2')
+    r.step(*r.healthy()[::2], periods=5)
+    assert r.spin_until(lambda: len(heard) == 16) and 7.0 not in r.values(heard)
+    assert r.stamps(heard)[-5:] == [r.now - i * PERIOD for i in range(4, -1, -1)]
 
 
 def test_live_messages_increase_strictly_before_anything_has_failed(rig, joint_parameters):

@@ -69,8 +69,11 @@ def test_who_joins_late_sees_it_at_once_and_then_each_change(machine):
     assert by_name(late[-1])['y3'][0].level == DiagnosticStatus.ERROR
     # and without a change about once a second
     count, begin = len(late), late[-1].header.stamp.sec
+    m.node.replacer.reports.thrown_away = 5
     assert m.spin_until(lambda: len(late) == count + 2)
     assert 1 <= late[-1].header.stamp.sec - begin <= 5
+    loop = by_name(late[-1])['replacer'][0]
+    assert loop.level == DiagnosticStatus.WARN and '5 messages of isolation thrown' in loop.message
 
 
 def test_a_switch_is_reported_once_it_is_counted(machine, monkeypatch):

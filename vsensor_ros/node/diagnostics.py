@@ -15,7 +15,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from vsensor_ros.bank.switch import Policy
-from vsensor_ros.node.state import ChannelState, Health
+from vsensor_ros.node.state import ChannelState, Health, stands_still
 from vsensor_ros.virtual_sensor import Design
 
 LEVELS = {
@@ -138,15 +138,20 @@ def _remedies(channel: ChannelState, scene: Scene) -> list[str]:
     return remedies or [f'repair {name}']
 
 
-def describe_loop(health: Health, state: str, left_out: int, complaints: Collection[str]
-                  ) -> Report:
-    """Say how the node keeps up, in a state of STATES; `left_out` ticks lately."""
+def describe_loop(health: Health, state: str, left_out: int, complaints: Collection[str],
+                  thrown_away: int = 0) -> Report:
+    """Say how the node keeps up, in a state of STATES; left_out and thrown_away: lately."""
     parts = [STATES[state]]
     if state == 'active' and health.ticks == 0:
         parts.append('no tick yet; with use_sim_time, check that /clock is published')
+    elif state == 'active' and (stopped := stands_still(health.clock_age)):
+        parts.append(f'{stopped}; nothing virtual goes out until it moves on')
     if left_out:
         parts.append(f'{left_out} ticks left out in {WINDOW:g} s: this computer is too busy; '
                      'lower the rate, or give the node more of it')
+    if thrown_away:
+        parts.append(f'{thrown_away} messages of isolation thrown away in {WINDOW:g} s, too many '
+                     'or too large, so a fault may be missed; find who sends them')
     parts += complaints
     level = DiagnosticStatus.OK if parts == ['active'] else DiagnosticStatus.WARN
     return Report(LOOP, level, '; '.join(parts), '', state)

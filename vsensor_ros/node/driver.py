@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+import math
 from typing import Any
+
+import numpy as np
+
+from vsensor_ros.node.accessor import field_type, LARGEST_FLOAT
 
 CLOCKS_APART = 1_000_000_000  # ns; stamps further than this from ours are another clock's
 PATIENCE = 5_000_000_000  # ns of nothing but stamps behind an estimate's, then they are believed
+AHEAD = 250_000_000  # ns by which a stamp may lie ahead of the node's clock unasked
+AGREE = 3  # messages in a row that lie further ahead by the same: then their clock is believed
 MOST = 64  # sets of channels that came together, kept at hand
 NEVER = -2**63  # ns, before any stamp
 HELD = 10_000_000  # ns by which an estimate may be stamped after its state, at a fault
@@ -23,21 +30,35 @@ class Driver:
     """
 
     channels: set[str]
+    first: bytes | None = None  # its first message: what has changed since is a measurement
+    heard: int = 0  # when its last message came
     raw: bytes | None = None  # its last message with the most channels: the template
     taken: int = 0  # when it came
     carried: int = 0  # healthy channels in it
     message: Any = None  # the template, decoded, with what was put into it
+    blanked: bool = False  # what was measured is no longer in it
     last_sent: int = NEVER  # the stamp that went out last
     offset: int = 0  # of the clock of its stamps to the node's
+    ahead: int = AHEAD  # ns by which its stamps may lie ahead of the node's clock
+    doubted: tuple[int, int] = (0, 0)  # by how much the last one that lay further did; in a row
     composed: bool = False  # some of what went out is not as it came
     blocked: int | None = None  # since when all stamps were too old to go out
-    refused: int = NEVER  # the newest of these
+    refused: int = NEVER  # the last of these
     problem: str | None = None  # why nothing goes out, though it should
 
     def keep(self, raw: bytes, carried: int, now: int, max_age: int) -> None:
         """Take a message for the template, unless the one there is has more channels."""
+        self.heard = now
         if carried >= self.carried or now - self.taken > max_age:
-            self.raw, self.message, self.taken, self.carried = raw, None, now, carried
+            self.take(raw, now)
+            self.carried = carried
+
+    def take(self, raw: bytes, now: int) -> None:
+        """Take a message for the template."""
+        if self.first is None:
+            self.first = raw
+        self.raw, self.message, self.taken, self.heard = raw, None, now, now
+        self.blanked = False
 
     def join(self, other: Driver) -> None:
         """Learn that two were one."""
@@ -46,15 +67,33 @@ class Driver:
         self.last_sent = max(self.last_sent, other.last_sent)
         if other.taken > self.taken:
             self.raw, self.message, self.taken = other.raw, other.message, other.taken
+            self.first, self.blanked = other.first, other.blanked
+        self.heard = max(self.heard, other.heard)
 
-    def forget(self) -> None:
+    def forget(self, now: int) -> None:
         """Begin anew after the clock went back; what its messages look like is still so."""
         self.last_sent, self.blocked, self.composed = NEVER, None, False
         self.offset, self.taken, self.carried = 0, 0, 0
+        self.heard = min(self.heard, now)
 
     def sends(self, stamp: int, now: int) -> None:
         """Note that a live message goes out."""
         self.offset, self.last_sent, self.blocked = stamp - now, stamp, None
+
+    def believes(self, stamp: int, now: int) -> bool:
+        """
+        Tell whether a stamp that lies far ahead of the node's clock is to be believed.
+
+        A single one is a mistake: what comes after it would be old, and an estimate from the
+        future. AGREE in a row are another clock, and so is the very first.
+        """
+        lead, (before, row) = stamp - now, self.doubted
+        row = row + 1 if row and abs(lead - before) <= AHEAD else 1
+        self.doubted = lead, row
+        if row < AGREE and self.last_sent != NEVER:
+            return False
+        self.ahead, self.doubted = lead + AHEAD, (0, 0)
+        return True
 
     @property
     def apart(self) -> bool:
@@ -86,9 +125,9 @@ class Driver:
             return True
         if self.blocked is None:
             self.blocked, self.refused = now, stamp
-        goes_on = stamp > self.refused
+        goes_on, self.refused = stamp > self.refused, stamp
         if goes_on:  # else it is late itself, and says nothing of the clock
-            self.refused, self.offset = stamp, stamp - now
+            self.offset = stamp - now
         back = self.last_sent - stamp
         patience = PATIENCE if self.composed or back <= CLOCKS_APART else max_age
         if not goes_on or now - self.blocked < patience:
@@ -140,3 +179,31 @@ class Drivers:
         for channel in channels:
             result.setdefault(self.of(channel), []).append(channel)
         return result
+
+
+def blank(message: Any, first: Any, last: Any) -> None:
+    """
+    Make NaN of each float of a message that differs between the first and the last of a driver.
+
+    Such a number is a measurement; one that does not change is a property of the sensor.
+    """
+    for field, text in last.get_fields_and_field_types().items():
+        kind = field_type(text)
+        target, before, after = (getattr(m, field) for m in (message, first, last))
+        if kind.inner in LARGEST_FLOAT:
+            if not kind.is_array:
+                if before != after:
+                    setattr(message, field, math.nan)
+                continue
+            shared = min(len(before), len(after))
+            for i in np.flatnonzero(np.asarray(before[:shared]) != np.asarray(after[:shared])):
+                target[i] = math.nan
+            for i in range(shared, len(after)):
+                target[i] = math.nan
+        elif '/' in kind.inner:
+            if not kind.is_array:
+                blank(target, before, after)
+                continue
+            unknown = type(after[0])() if len(after) > len(before) else None
+            for i, element in enumerate(after):
+                blank(target[i], before[i] if i < len(before) else unknown, element)

@@ -9,7 +9,7 @@ there, so that size, number and rate of what is looked at are bounded, and what 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import nsmallest
 from itertools import islice
 import re
@@ -17,13 +17,14 @@ import re
 OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
 LARGEST = 2**18  # bytes of a message that is decoded (15 ms)
 PER_SECOND = 2**20  # bytes a second that are decoded; one second's worth may come at once
+STRANGERS = PER_SECOND // 4  # of messages that name no sensor, which must not crowd out others
 LEAST = 1024  # bytes that a message counts as, at least: so it is 1024 messages a second, too
 MOST_STATUSES = 4096  # of a message that are looked at
 LARGEST_TEXT = 65536  # characters of a String that are looked at
 FEW = 5  # problems of a message that are spelled out
 
 TOO_LARGE = f'messages of more than {LARGEST} bytes'
-TOO_MUCH = f'messages beyond {PER_SECOND} bytes a second'
+TOO_MUCH = 'more messages a second than are read'
 
 
 @dataclass(frozen=True)
@@ -40,16 +41,29 @@ class Allowance:
 
     left: float = PER_SECOND  # bytes
     time: int = 0  # ns, of a clock that is never set back
+    rate: float = PER_SECOND  # bytes a second
 
     def admit(self, size: int, now: int) -> tuple[Allowance, str | None]:
         """Return what is left after a message of `size` bytes, and why it is not read, or None."""
-        left = min(PER_SECOND, self.left + PER_SECOND * (now - self.time) * 1e-9)
+        left = min(self.rate, self.left + self.rate * (now - self.time) * 1e-9)
         if size > LARGEST:
-            return Allowance(left, now), TOO_LARGE
+            return replace(self, left=left, time=now), TOO_LARGE
         size = max(size, LEAST)
         if size > left:
-            return Allowance(left, now), TOO_MUCH
-        return Allowance(left - size, now), None
+            return replace(self, left=left, time=now), TOO_MUCH
+        return replace(self, left=left - size, time=now), None
+
+
+def names_one(raw: bytes, sensors: Iterable[str]) -> bool:
+    """Tell whether a sensor's name is among the strings of a serialized message; cheap."""
+    return any(len(name).to_bytes(4, order) + name in raw
+               for name in (sensor.encode() + b'\0' for sensor in sensors)
+               for order in ('little', 'big'))
+
+
+def names_one_in_text(raw: bytes, sensors: Iterable[str]) -> bool:
+    """Tell whether a serialized String may name a sensor, or says that none is faulty; cheap."""
+    return not raw[8:].strip(b'\0 \t\r\n,') or any(sensor.encode() in raw for sensor in sensors)
 
 
 def from_statuses(statuses: Iterable[tuple[str, bytes | int]], sensors: Collection[str],

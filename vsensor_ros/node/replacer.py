@@ -72,6 +72,7 @@ class Replacer:
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._sources: list[tuple[str, int]] = []  # as last seen, with the switches
         self._looked = 0  # when that was
+        self._moved = 0.0  # when the clock did, by a steady one; of simulated time only
         self._rates = Rates()
         try:
             self._open(Polled())
@@ -103,7 +104,7 @@ class Replacer:
         self.reports = Reports(
             node, group, settings.isolation_topic, kind_of(settings.isolation_type, DIAGNOSTICS),
             self.bank.sensors, settings.isolation_topic == DIAGNOSTICS_TOPIC,
-            lambda text: self.log.say(text, subject='isolation'))
+            lambda text, subject: self.log.say(text, subject=subject))
         self.start = Start(
             self.reports, lambda: any(s.heard(name) for s in self.streams for name in s.names),
             lambda text: self.log.say(text, 'warning'))
@@ -137,6 +138,7 @@ class Replacer:
         """
         with self.lock:
             self.clock.resume()
+            self._moved = time.monotonic()
             if self.bank.time is not None:  # nobody polled it meanwhile
                 self._restart()
                 self.ticks.restart()
@@ -195,6 +197,10 @@ class Replacer:
                                      time.monotonic_ns())
             return channel_states(self, rates)
 
+    def clock_age(self) -> float:
+        """Return for how many seconds of steady time simulated time has stood still; else 0."""
+        return time.monotonic() - self._moved if self.clock.simulated else 0.0
+
     def health(self) -> Health:
         """Return how the loop keeps up."""
         with self.lock:
@@ -223,7 +229,10 @@ class Replacer:
         with self.lock:
             if self.start.is_over():
                 self._set_active(True)
+            before = self.clock.now
             jump = self.clock.look()
+            if self.clock.simulated and self.clock.now != before:
+                self._moved = time.monotonic()
             if jump:
                 self._jumped(jump)
             if self.clock.now >= self.ticks.due and not self.clock.simulated:

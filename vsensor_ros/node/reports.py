@@ -34,8 +34,8 @@ class Reports:
     """What isolation says, from both subscriptions."""
 
     def __init__(self, node: Node, group: Polled, topic: str, kind: Any,
-                 sensors: Collection[str], shared: bool, say: Callable[[str], None]) -> None:
-        """Open the topic; shared: others speak there of other things, too. say: an error."""
+                 sensors: Collection[str], shared: bool, say: Callable[[str, str], None]) -> None:
+        """Open the topic; shared: others speak there of other things, too. say: error, subject."""
         self.kind, self.topic = kind, topic
         self._sensors, self._shared, self._say = sensors, shared, say
         self._live = subscribe(node, group, kind, topic, LISTEN_RELIABLY)
@@ -44,11 +44,16 @@ class Reports:
         self.subscriptions: tuple[Subscription, ...] = (self._live, self._late)
         self._heard: dict[tuple[int, bytes], None] = {}
         self._said: dict[str, int] = {}  # by sensor: when its last message was sent
-        self._allowance = isolation.Allowance()
+        self._allowances = {  # by whether a message names a sensor
+            True: isolation.Allowance(),
+            False: isolation.Allowance(isolation.STRANGERS, rate=isolation.STRANGERS)}
+        self._names_one = isolation.names_one if kind is DiagnosticArray else \
+            isolation.names_one_in_text
         self._behind = False  # more has arrived than was looked at
         self._told = 0  # messages that the transient-local subscription has heard
         self.heard = False  # anything at all
         self.not_used = 0  # messages that were not used, or not wholly
+        self.thrown_away = 0  # of these, not even read
 
     @property
     def known(self) -> bool:
@@ -86,7 +91,11 @@ class Reports:
     def _apply(self, raw: bytes, sent: int, faulty: frozenset[str],
                about: Collection[str]) -> frozenset[str]:
         """Return the faulty sensors after a message; note for those it speaks of when it was."""
-        self._allowance, refused = self._allowance.admit(len(raw), time.monotonic_ns())
+        ours = len(raw) <= isolation.LARGEST and self._names_one(raw, self._sensors)
+        if self._shared and not ours and len(raw) <= isolation.LARGEST:
+            return faulty  # others' business
+        self._allowances[ours], refused = self._allowances[ours].admit(
+            len(raw), time.monotonic_ns())
         message = None if refused else decode(self.kind, raw)
         if message is None:
             said = isolation.Isolation(faulty, (refused or UNREADABLE,))
@@ -102,7 +111,10 @@ class Reports:
             self._said[name] = max(sent, self._said.get(name, 0))
         if said.problems:
             self.not_used += 1
-            self._say(f'{self.topic}: {"; ".join(said.problems)}')
+            self.thrown_away += refused is not None
+            self._say(f'{self.topic}: {"; ".join(said.problems)}' + (
+                f' ({self.thrown_away} thrown away so far)' if refused else ''),
+                'thrown away' if refused else 'isolation')
         return said.faulty
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from vsensor_ros.bank import Source
 from vsensor_ros.node.channel import NONE, VIRTUAL
-from vsensor_ros.node.state import ChannelState, Health
+from vsensor_ros.node.state import ChannelState, Health, stands_still
 from vsensor_ros.node.topics import Stream
 from vsensor_ros.virtual_sensor import VirtualSensor
 
@@ -59,7 +59,10 @@ def _state(replacer: Replacer, stream: Stream, i: int, rates: dict[str, float]) 
     decision, now = switch.decisions[name], source(replacer, stream, name)
     fault_set: Sequence[str] = tuple(s for s in switch.sensors if s in switch.faulty)
     serves, deviation, reason, value = None, math.inf, decision.reason, channel.value
-    if now == VIRTUAL:
+    stopped = stands_still(replacer.clock_age())  # and so do the virtual sensors
+    if now == VIRTUAL and stopped:
+        now, reason, value = NONE, f'{stopped}; nothing goes out', math.nan
+    elif now == VIRTUAL:
         fault_set = decision.fault_set
         entry = replacer.settings.design.entries.get((decision.fault_set, name))
         serves = entry if isinstance(entry, VirtualSensor) else None
@@ -72,6 +75,8 @@ def _state(replacer: Replacer, stream: Stream, i: int, rates: dict[str, float]) 
         reason = stream.why_silent(name, replacer.clock.now) or reason
         if stream.plain:
             value = stream.latest(name)
+    if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
+        reason = f'{reason}; {silence}' if reason else silence
     recovering = switch.recovering.get(name)
     return ChannelState(
         name, sensor.output, replacer.settings.design.units.get(name, ''), now, reason,
@@ -91,4 +96,5 @@ def health(replacer: Replacer) -> Health:
         replacer.settings.rate, pace.achieved(), *pace.step(), pace.jitter(replacer.bank.period),
         pace.overruns, dict(replacer.clock.jumps),
         tuple(s for s in switch.sensors if s in switch.faulty), pace.ticks,
-        replacer.estimates.count, replacer.reports.not_used)
+        replacer.estimates.count, replacer.reports.not_used, replacer.reports.thrown_away,
+        replacer.clock_age())

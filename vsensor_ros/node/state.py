@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from vsensor_ros.virtual_sensor import VirtualSensor
 
+STILL = 1.0  # s of steady time without simulated time
+
 
 @dataclass(frozen=True)
 class ChannelState:
@@ -49,3 +51,11 @@ class Health:
     ticks: int
     estimates: int  # that went out
     not_used: int  # messages of isolation that were not used, or not wholly
+    thrown_away: int = 0  # of these, not even read: too large, or too many
+    clock_age: float = 0.0  # since simulated time moved, by a steady clock
+
+
+def stands_still(clock_age: float) -> str:
+    """Return in words that simulated time stands still, '' when it does not."""
+    return f'the clock stands still: no /clock since {clock_age:.1f} s' \
+        if clock_age > STILL else ''

@@ -38,6 +38,7 @@ LOOK = 2.0  # s between two looks at the graph
 MOST_LINES = 10  # in the log after one look
 MOST_TOLD = 1000  # complaints that are remembered, not to be said again
 QUIET = 5.0  # s between two log lines that say the same of a channel
+THROWN = 'thrown away'  # what is counted under that name lately; no sensor can be called so
 NODE = 'replacer'  # name of the status that is about no channel, on ~/status
 
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late joiners see it
@@ -114,7 +115,8 @@ class Reporter:
         reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
             if state == 'active' else []
         loop = describe_loop(health, state, self._lately.grown(LOOP, health.overruns, now),
-                             self._about(None))
+                             self._about(None),
+                             self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
         prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
         told = list(zip(channels, reports))
@@ -213,6 +215,7 @@ def _health_facts(health: Health, state: str) -> Mapping[str, object]:
         'ticks': health.ticks,
         'estimates': health.estimates,
         'not_used': health.not_used,
+        'thrown_away': health.thrown_away,
         'faulty': ' '.join(health.faulty),
         **{f'clock_{way.replace(" ", "_")}': count for way, count in health.jumps.items()},
     }

@@ -20,17 +20,19 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from vsensor_ros.node.accessor import has_stamp, NOT_THERE, put_stamp
+from vsensor_ros.node.accessor import compile_holder, has_stamp, NOT_THERE, put_stamp, trace
 from vsensor_ros.node.cdr import decode, Reader, Reading
 from vsensor_ros.node.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.node.clock import NodeClock
-from vsensor_ros.node.driver import Driver, Drivers
+from vsensor_ros.node.driver import blank, Driver, Drivers
 from vsensor_ros.node.parameters import Sensor
 from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe
 from vsensor_ros.node.qos import qos_options
 from vsensor_ros.node.variance import compile_variance
 
 NOT_NEWER = 'not sent on: not newer than what went out'
+FROM_THE_FUTURE = 'not sent on: stamp far ahead of the clock'
+ONLY_NAN = 'nothing but NaN arrives'
 SPEAK = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -74,6 +76,9 @@ class Stream:
         self.absent = tuple(NOT_THERE.format(s.accessor.path) for s in self.sensors)
         self._set_variance = {s.name: compile_variance(kind, s.accessor.path)
                               for s in self.sensors}
+        self._named = [(compile_holder(steps[:i]), step.field, step.names)
+                       for steps in (trace(kind, s.accessor.path) for s in self.sensors)
+                       for i, step in enumerate(steps) if step.names is not None]
         self._send = self.publisher.handle.publish_raw
 
     # -------------------------------------------------------------------------- what comes in
@@ -84,7 +89,7 @@ class Stream:
 
     def heard(self, name: str) -> bool:
         """Tell whether a channel has ever spoken, since the clock went back."""
-        return name in self._heard
+        return name in self._heard or self._lacks.get(name, ('', 0))[0] == ONLY_NAN
 
     def latest(self, name: str) -> float:
         """Return what a channel said last, NaN before it spoke."""
@@ -104,13 +109,25 @@ class Stream:
             return f'messages arrive on {topic}, but are {NOT_NEWER}' if stuck else None
         reason, at = self._lacks.get(name, ('', 0))
         if reason and now - at <= self._max_age[name]:
+            if reason == ONLY_NAN:
+                return f'{ONLY_NAN} on {topic}'
             return f'messages arrive on {topic}, but {reason}'
         return f'nothing comes on {topic}'
+
+    def driver_silence(self, name: str) -> str:
+        """Return in words for how long a channel's driver has been silent, '' if it is not."""
+        driver = self.drivers.of(name)
+        if driver.raw is None or not self._silent(driver):
+            return ''
+        return f'its driver has been silent for {(self.clock.now - driver.heard) * 1e-9:.1f} s'
+
+    def _silent(self, driver: Driver) -> bool:
+        return self.clock.now - driver.heard > self._longest
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
         for driver in self.drivers.all:
-            driver.forget()
+            driver.forget(self.clock.now)
         self._heard.clear()
         self._lacks.clear()
 
@@ -123,7 +140,8 @@ class Stream:
         """
         now, values, stamp = self.clock.now, reading.values, reading.stamp
         if self.plain and self.active and len(values) == 1 and values[0].__class__ is float and (
-                stamp is None or stamp > self._only.last_sent):
+                stamp is None
+                or self._only.last_sent < stamp <= now + self._only.ahead):
             self._send(raw)  # mostly it is so, and soon is better
             self._keep(raw, stamp, float(values[0]), now)
             return None
@@ -133,7 +151,7 @@ class Stream:
             if isinstance(value, str):
                 self._lacks[name] = value, now
             else:
-                self._latest[name], self._heard[name] = value, now
+                self._note(name, value, now)
         driver = self.drivers.sender(self.names if str not in map(type, values) else tuple(
             n for n, v, absent in zip(self.names, values, self.absent) if v != absent))
         failed = self.failed and self.failed & driver.channels
@@ -143,6 +161,8 @@ class Stream:
         if failed or not self.active:
             return None  # it goes out in the next message that is composed
         if stamp is not None:
+            if stamp > now + driver.ahead and not driver.believes(stamp, now):
+                return FROM_THE_FUTURE
             if stamp <= driver.last_sent and not driver.in_order(
                     stamp, now, self._longest, self._step_back):
                 return NOT_NEWER
@@ -154,12 +174,19 @@ class Stream:
 
     def _keep(self, raw: bytes, stamp: int | None, value: float, now: int) -> None:
         """Note what went out of the one channel there is."""
-        (name,) = self.names
-        self._latest[name], self._heard[name] = value, now
+        self._note(self.names[0], value, now)
         driver = self._only
-        driver.raw, driver.message, driver.taken = raw, None, now
+        driver.take(raw, now)
         if stamp is not None:
             driver.sends(stamp, now)
+
+    def _note(self, name: str, value: float, now: int) -> None:
+        """Note what a channel says; with NaN it is there, but says nothing."""
+        self._latest[name] = value
+        if math.isnan(value):
+            self._lacks[name] = ONLY_NAN, now
+        else:
+            self._heard[name] = now
 
     def _pass_foreign(self, raw: bytes, why: Any, now: int) -> str | None:
         """Pass on a message of other joints, with its own stamps, if its driver is healthy."""
@@ -171,8 +198,17 @@ class Stream:
         return None
 
     def _same_driver(self, raw: bytes, now: int) -> bool:
-        """Take a message that shares joints with a failed driver's for its template."""
+        """
+        Take a message that shares joints with a failed driver's for its template.
+
+        One with numbers that have no names may be anybody's: it is not sent, nor a template.
+        """
         message = decode(self.kind, raw)
+        if any(not getattr(holder, names) or len(getattr(holder, field)) > len(
+                getattr(holder, names)) for find, field, names in self._named
+                if (holder := find(message)) is not None):
+            self.lacks(self.absent[0], now)
+            return True
         for driver in self.drivers.all:
             if not self.failed & driver.channels or driver.raw is None:
                 continue
@@ -252,6 +288,9 @@ class Stream:
         message = self._template(driver)
         if message is None:
             return 'no message of its driver was ever seen, so frame and names are not known'
+        if self._silent(driver) and not driver.blanked and driver.first and driver.raw:
+            blank(message, decode(self.kind, driver.first), decode(self.kind, driver.raw))
+            driver.blanked = True
         stamp = driver.stamp_for(time, at_once)
         if not driver.in_order(stamp, time, self._longest, self._step_back):
             assert driver.blocked is not None
