@@ -93,7 +93,7 @@ def check_terms(problem):
     return verdict
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(problems())
 def test_orders_and_freedom_are_those_of_the_definition(problem):
     check_orders(problem)

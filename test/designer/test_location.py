@@ -83,7 +83,7 @@ def exists(entry):
             or entry.reason.startswith('the linear equations allow'))
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(plants())
 def test_as_designs_with_the_sensor_really_added(plant):
     sets = design(plant, up_to=2).fault_sets

@@ -68,7 +68,7 @@ def polynomial_test(A, C0, V, D, k):
     return bool(feasible), free == k
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(plants())
 def test_every_virtual_sensor_satisfies_its_equations(plant):
     for entry in design(plant).virtual_sensors:

@@ -209,7 +209,7 @@ class ManagedNode(LifecycleNode):
         return change_state
 
 
-def spin(executor: SingleThreadedExecutor, node: ManagedNode) -> None:
+def spin(executor: SingleThreadedExecutor, node: ManagedNode, ending: Event) -> None:
     """Serve callbacks until the executor is shut down; what one raises ends only that one."""
     last, at = '', 0.0
     while True:
@@ -219,6 +219,8 @@ def spin(executor: SingleThreadedExecutor, node: ManagedNode) -> None:
         except ExternalShutdownException:
             return
         except Exception:
+            if ending.is_set():
+                return  # an executor that is shut down in the wrong moment trips over itself
             text = traceback.format_exc()
             if text != last or time.monotonic() > at + AGAIN:
                 node.get_logger().error(text)
@@ -263,11 +265,13 @@ def run_node(node: ManagedNode, stop: Event) -> int:
                 return 1
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
-    thread = Thread(target=spin, args=(executor, node), name='executor')
+    ending = Event()
+    thread = Thread(target=spin, args=(executor, node, ending), name='executor')
     thread.start()
     try:
         node.serve(stop)
     finally:
+        ending.set()
         executor.shutdown()
         thread.join()
         if not node.ended:
