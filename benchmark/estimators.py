@@ -32,9 +32,9 @@ from scipy.linalg import expm
 from benchmark.row import Row
 from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bank import Bank
-from vsensor_ros.nonlinearity import NonlinearTerm
+from vsensor_ros.functions.nonlinearity import NonlinearTerm
+from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
 from vsensor_ros.simulate import simulate
-from vsensor_ros.virtual_sensor import Design, VirtualSensor
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 RATE = 100.0  # Hz

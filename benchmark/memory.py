@@ -19,8 +19,9 @@ import time
 from benchmark.bank import make_design
 from benchmark.rig import Rig
 from benchmark.row import Row
-from vsensor_ros.bank import Bank, Switch
-from vsensor_ros.command.failover import Failed
+from vsensor_ros.bank import Bank
+from vsensor_ros.engine import Switch
+from vsensor_ros.lab.demo_failover import Failed
 
 BAR = 1.005  # a page now and then is no growth
 TICKS = 1_000_000

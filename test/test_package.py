@@ -17,19 +17,22 @@ PACKAGE = ROOT / 'vsensor_ros'
 COMMANDS = ('demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
-LEAVES = {'bad_input', 'catalogue', 'expression', 'nonlinearity', 'whole_file'}
+LEAVES = {'bad_input', 'whole_file'}
 ARROWS = {  # room: what it may import besides itself
     **dict.fromkeys(LEAVES, LEAVES),
-    'plant': LEAVES,
-    'virtual_sensor': LEAVES | {'design_file'},  # which it loads to read and write
-    'design_file': LEAVES | {'virtual_sensor'},
-    'designer': LEAVES | {'plant', 'virtual_sensor'},
-    'bank': LEAVES | {'virtual_sensor'},
-    'node': LEAVES | {'bank', 'virtual_sensor'},
-    'simulate': LEAVES | {'plant'},
-    'command': LEAVES | {'plant', 'virtual_sensor', 'designer', 'bank', 'node', 'simulate'},
+    'functions': LEAVES,
+    'plant': LEAVES | {'functions'},
+    'observers': LEAVES | {'functions'},
+    'designer': LEAVES | {'functions', 'plant', 'observers'},
+    'bank': LEAVES | {'functions', 'observers'},
+    'engine': LEAVES | {'bank', 'observers'},
+    'node': LEAVES | {'engine', 'bank', 'observers'},
+    'simulate': LEAVES | {'functions', 'plant'},
+    'report': LEAVES | {'functions', 'plant', 'observers', 'designer', 'bank', 'simulate'},
+    'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate', 'command'},
+    'command': LEAVES | {'plant', 'observers', 'designer', 'node', 'simulate', 'report', 'lab'},
 }
-WITH_ROS = {'node', 'command'}  # the only rooms that may import ROS
+WITH_ROS = {'node', 'lab', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'pandas', 'pooch', 'rich',
         'sympy', 'threadpoolctl'}  # never on the machine
 
@@ -170,7 +173,8 @@ assert callable(design) and callable(load_plant)
 """)
 
 
-@pytest.mark.parametrize('module', ['virtual_sensor', 'bank', 'node', 'command.replacer'])
+@pytest.mark.parametrize('module', ['functions', 'observers', 'bank', 'engine', 'node',
+                                    'command.replacer'])
 def test_machine_never_loads_the_desk(module):
     if module in ('node', 'command.replacer'):
         pytest.importorskip('rclpy')

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vsensor_ros import Plant
-from vsensor_ros.bank import Bank, Source, Switch
+from vsensor_ros.bank import Bank
 from vsensor_ros.bank.step import make_step
+from vsensor_ros.engine import Source, Switch
 from vsensor_ros.simulate.simulate import readings, simulate
 
 MS = 1_000_000

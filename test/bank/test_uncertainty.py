@@ -5,9 +5,9 @@ import pytest
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
+from vsensor_ros.observers.virtual_sensor import Noise
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.simulate import readings, simulate
-from vsensor_ros.virtual_sensor import Noise
 
 MS = 1_000_000
 

@@ -16,8 +16,8 @@ from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from vsensor_ros.command import monitor
-from vsensor_ros.command.failover import reserved_domain
-from vsensor_ros.command.screen import changes, duration, read_status, screen
+from vsensor_ros.lab.demo_failover import reserved_domain
+from vsensor_ros.lab.screen import changes, duration, read_status, screen
 
 WORDS = 'virtual (isolated), from y3, voltage, good to 0.02 rad/s; repair y2'
 NO_SOURCE = 'no valid source (y3 silent for 0.5 s; nothing goes out); repair y4'

@@ -13,9 +13,9 @@ from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.observer import Candidate
 from vsensor_ros.designer.problem import pose
-from vsensor_ros.nonlinearity import evaluate
+from vsensor_ros.functions.nonlinearity import evaluate
+from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
 from vsensor_ros.simulate import simulate
-from vsensor_ros.virtual_sensor import Refusal, VirtualSensor
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test/reference.json').read_text())['c_tank_discrete']

@@ -22,8 +22,8 @@ import pytest
 
 from vsensor_ros import design, load_plant
 from vsensor_ros.bank import Bank
+from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
 from vsensor_ros.simulate import simulate
-from vsensor_ros.virtual_sensor import Design, VirtualSensor
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test/reference.json').read_text())['c_tank_discrete']

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from vsensor_ros.designer.slopes import EXTENSIONS, jumps, slope_bounds_on
-from vsensor_ros.expression import OPERATORS
-from vsensor_ros.nonlinearity import (
+from vsensor_ros.functions.expression import OPERATORS
+from vsensor_ros.functions.nonlinearity import (
     CATALOGUE,
     evaluate,
     make_term,

@@ -78,7 +78,7 @@ def test_bad_stamps_are_counted_by_reason_and_fail_nobody(rig, parameters):
 
 def test_a_wall_clock_set_back_while_a_sensor_is_replaced(rig, parameters, monkeypatch):
     away = 0
-    monkeypatch.setattr('vsensor_ros.node.clock.time.time_ns',
+    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns',
                         lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + away)
     r = rig({**parameters, 'recovery.dwell': 3600.0}, sim_time=False)
     heard = r.listen(RANGE, '/y2')

@@ -6,7 +6,8 @@ from hypothesis import given, strategies as st
 import pytest
 from rclpy.serialization import deserialize_message
 
-from vsensor_ros.bank.switch import Policy
+from vsensor_ros.engine.state import ChannelState, Health
+from vsensor_ros.engine.switch import Policy
 from vsensor_ros.node.diagnostics import (
     channel_facts,
     describe,
@@ -18,7 +19,6 @@ from vsensor_ros.node.diagnostics import (
     Scene,
     WINDOW,
 )
-from vsensor_ros.node.state import ChannelState, Health
 
 OK, WARN, ERROR, STALE = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR,
                           DiagnosticStatus.STALE)

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from vsensor_ros.node.clock import NodeClock
+from vsensor_ros.engine.clock import NodeClock
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
@@ -15,7 +15,7 @@ SECOND = 10**9
 def clock(times, simulated, monkeypatch):
     """Return a clock that will show these times [ns] one after the other."""
     times = iter(times)
-    monkeypatch.setattr('vsensor_ros.node.clock.time.time_ns', lambda: next(times))
+    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns', lambda: next(times))
     return NodeClock(10 * SECOND, (lambda: next(times)) if simulated else None)
 
 
@@ -122,7 +122,7 @@ def test_a_clock_that_pauses_changes_nothing(rig, parameters):
 
 def test_a_wall_clock_set_back(rig, parameters, capfd, monkeypatch):
     away = 0
-    monkeypatch.setattr('vsensor_ros.node.clock.time.time_ns',
+    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns',
                         lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + away)
     r = rig(parameters, sim_time=False)
     r.spin()

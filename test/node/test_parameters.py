@@ -5,12 +5,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from vsensor_ros.bank import Policy
+from vsensor_ros.engine import Policy
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameter_file import check_addressed
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.replacer import Replacer
-from vsensor_ros.virtual_sensor import Design
+from vsensor_ros.observers.virtual_sensor import Design
 
 
 @pytest.fixture(scope='module')

@@ -127,7 +127,7 @@ def test_what_isolation_said_is_known_when_as_many_have_spoken_as_keep_it(rig, p
 def test_what_passed_while_it_was_inactive_is_neither_jump_nor_overrun(
         rig, parameters, monkeypatch):
     rest = 0
-    monkeypatch.setattr('vsensor_ros.node.clock.time.time_ns',
+    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns',
                         lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + rest)
     monkeypatch.setattr('vsensor_ros.node.pace.time.perf_counter_ns',
                         lambda: time.monotonic_ns() + rest)

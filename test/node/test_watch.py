@@ -17,7 +17,7 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from vsensor_ros.bank import Policy
+from vsensor_ros.engine import Policy
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameters import read, watch
 

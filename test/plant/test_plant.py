@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.nonlinearity import NonlinearTerm
+from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.plant import Plant
 
 A = [[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -2.0]]

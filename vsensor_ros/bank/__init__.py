@@ -1,7 +1,5 @@
-"""The run: every virtual sensor in step, and who serves each channel."""
+"""The run: every virtual sensor in step on one grid of times."""
 
 from vsensor_ros.bank.bank import Bank
-from vsensor_ros.bank.bumpless import Bumpless
-from vsensor_ros.bank.switch import Decision, Policy, Source, Switch
 
-__all__ = ['Bank', 'Bumpless', 'Decision', 'Policy', 'Source', 'Switch']
+__all__ = ['Bank']

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bank.discretise import phi_functions
-from vsensor_ros.nonlinearity import (
+from vsensor_ros.functions.nonlinearity import (
     compile_outside_domain,
     compile_term,
     NonlinearTerm,
     set_valued,
 )
-from vsensor_ros.virtual_sensor import VirtualSensor
+from vsensor_ros.observers.virtual_sensor import VirtualSensor
 
 # Takes z (V, k), the readings at both ends of the step (L,), the commands at both ends and their
 # mean (m,), and those that hold from either end on (m,), which readings taken there have seen: not

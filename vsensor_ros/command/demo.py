@@ -13,8 +13,8 @@ from pathlib import Path
 import sys
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.interrupt import interrupt_once
 from vsensor_ros.command.replacer import find_ros, prepare_environment
+from vsensor_ros.lab.interrupt import interrupt_once
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not find_ros('demo'):
             return 2
         # imported here so that Ctrl-C while they load ends as quietly as any other
-        from vsensor_ros.command.show import show_all
+        from vsensor_ros.lab.demo_runner import show_all
         return show_all(given.systems, given.output)
     except ModuleNotFoundError as missing:
         print(f'demo: {missing.name} is not installed; run `make demo`, which sets all up',

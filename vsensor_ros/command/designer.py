@@ -11,13 +11,13 @@ import textwrap
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
-from vsensor_ros.command import words
-from vsensor_ros.command.report import check_target, write_report
 from vsensor_ros.designer import design
 from vsensor_ros.designer.design import METHODS
 from vsensor_ros.designer.location import Location, locations
+from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
-from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.report import design_text
+from vsensor_ros.report.page import check_target, write_report
 
 MOST_BLOCKS = 10  # printed unasked
 MOST_PLACES = 8  # for a new sensor
@@ -191,7 +191,7 @@ def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
     lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
     if any(result.fault_sets):
         lines.append('Sensors that this plant can afford to lose at the same time')
-    for size, sentences in words.loss_lines(result):
+    for size, sentences in design_text.loss_lines(result):
         for i, sentence in enumerate(sentences):
             lines += _hanging(size if i == 0 else '', sentence, 9)
     if places is not None and plant is not None:
@@ -199,7 +199,8 @@ def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
     lines.append('')
     for (fault_set, channel), entry in result.entries.items():
         if blocks is None or fault_set in blocks:
-            lines += [f'{words.title(result, fault_set, channel)}: {words.state_of(entry)}']
+            lines += [f'{design_text.title(result, fault_set, channel)}: '
+                      f'{design_text.state_of(entry)}']
             lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
                 entry, result.units.get(channel, ''))
             lines.append('')
@@ -220,7 +221,7 @@ def _places(places: Sequence[Location], plant: Plant) -> list[str]:
     width = max(len(place.name) for place in useful[:MOST_PLACES]) + 2
     lines = []
     for place in useful[:MOST_PLACES]:
-        lines += _hanging(place.name, words.gained(place), width)
+        lines += _hanging(place.name, design_text.gained(place), width)
     if len(useful) > MOST_PLACES:
         lines.append(f'    and {len(useful) - MOST_PLACES} more that help')
     return lines
@@ -241,26 +242,26 @@ def _refused(entry: Refusal) -> list[str]:
 def _facts(entry: VirtualSensor, unit: str) -> list[str]:
     terms = [entry.terms[i].name for i in entry.active]
     facts = [
-        ('order', words.order(entry)),
-        ('noise error', words.noise(entry, unit)),
-        ('decay', words.decay(entry)),
-        ('eigenvalues of N', words.eigenvalues(entry)),
-        ('reads', words.reads(entry)),
-        ('noise gain', words.number(entry.noise_gain)),
+        ('order', design_text.order(entry)),
+        ('noise error', design_text.noise(entry, unit)),
+        ('decay', design_text.decay(entry)),
+        ('eigenvalues of N', design_text.eigenvalues(entry)),
+        ('reads', design_text.reads(entry)),
+        ('noise gain', design_text.number(entry.noise_gain)),
         ('found as', entry.method),
     ]
     if entry.grade != 'exact':
-        facts.insert(1, ('unknown inputs', words.disturbance(entry, unit)))
+        facts.insert(1, ('unknown inputs', design_text.disturbance(entry, unit)))
     if terms:
         facts.append(('nonlinear terms', ', '.join(terms)))
     facts += [('stability' if i == 0 else '', said)
-              for i, said in enumerate(words.certificate(entry))]
+              for i, said in enumerate(design_text.certificate(entry))]
     if len(entry.ladder) > 1:
         facts += [('ladder' if i == 0 else '', (
-            f'order {rung.order}: noise error {words.number(rung.noise, unit)}, decay '
-            f'{words.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
-            for i, (rung, taken) in enumerate(words.rungs(entry))]
-    facts += [('in doubt', doubt) for doubt in words.doubts(entry)]
+            f'order {rung.order}: noise error {design_text.number(rung.noise, unit)}, decay '
+            f'{design_text.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
+            for i, (rung, taken) in enumerate(design_text.rungs(entry))]
+    facts += [('in doubt', doubt) for doubt in design_text.doubts(entry)]
     return [line for name, value in facts for line in _hanging(name, value, 18)]
 
 

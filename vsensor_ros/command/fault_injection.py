@@ -14,8 +14,8 @@ import tempfile
 import time
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.interrupt import interrupt_once
 from vsensor_ros.command.replacer import find_ros, prepare_environment
+from vsensor_ros.lab.interrupt import interrupt_once
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,9 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(given: argparse.Namespace) -> int:
     # imported here so that Ctrl-C while they load ends as quietly as any other
-    from vsensor_ros.command.injection.setup import read_setup
-    from vsensor_ros.command.injection.show import closing, Screen, write_report
-    from vsensor_ros.command.injection.suite import ALL, run_suite
+    from vsensor_ros.lab.injection.setup import read_setup
+    from vsensor_ros.lab.injection.show import closing, Screen, write_report
+    from vsensor_ros.lab.injection.suite import ALL, run_suite
 
     cases = list(ALL)
     if given.only:

@@ -15,9 +15,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.interrupt import interrupt_once
 from vsensor_ros.command.replacer import find_ros, prepare_environment
-from vsensor_ros.command.screen import changes, duration, Line, OLD, read_status, screen, Told
+from vsensor_ros.lab.interrupt import interrupt_once
+from vsensor_ros.lab.screen import changes, duration, Line, OLD, read_status, screen, Told
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -9,8 +9,8 @@ from pathlib import Path
 import sys
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.interrupt import interrupt_once
 from vsensor_ros.command.replacer import find_ros, prepare_environment
+from vsensor_ros.lab.interrupt import interrupt_once
 from vsensor_ros.simulate.table import read_table
 
 LATE = 0.05             # s on the wall; what is played later than this is another machine
@@ -36,8 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from vsensor_ros.command.play import play
-    from vsensor_ros.command.wiring import read_wiring
+    from vsensor_ros.lab.play import play
+    from vsensor_ros.lab.wiring import read_wiring
     try:
         channels = read_table(given.table)
         wiring = read_wiring(given.wiring)

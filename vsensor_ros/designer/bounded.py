@@ -18,12 +18,11 @@ from decimal import Context, ROUND_CEILING
 import numpy as np
 from scipy.linalg import block_diag, LinAlgError, solve_continuous_are, solve_discrete_are
 
-from vsensor_ros.designer import closure
+from vsensor_ros.designer import invariant_spaces
+from vsensor_ros.designer.candidates import Contender, Ground, grounds, judged, static
 from vsensor_ros.designer.canonical import identification_rows
-from vsensor_ros.designer.contenders import Contender, Ground, grounds, judged, static
 from vsensor_ros.designer.existence import avoidable_signs, examine, Existence
 from vsensor_ros.designer.gain import peak, peak_on_grid
-from vsensor_ros.designer.ladder import climb, SLUGGISH
 from vsensor_ros.designer.noise import (
     Filter,
     kalman,
@@ -39,12 +38,13 @@ from vsensor_ros.designer.observer import (
     knows_arguments,
     linearised,
 )
+from vsensor_ros.designer.order_noise import climb, SLUGGISH
 from vsensor_ros.designer.papers import with_residual
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.stabilise import decay_of
+from vsensor_ros.observers.virtual_sensor import Noise, Refusal, Rung, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.virtual_sensor import Noise, Refusal, Rung, VirtualSensor
 
 NOISE_FACTOR = 4.0  # the quietest's noise may grow so much for less disturbance
 EXACT = 1.2  # decoupling from one input may raise what the others do by this factor
@@ -237,7 +237,7 @@ def _grounds(relaxed: Relaxed, decay: float | None) -> list[Ground]:
 
 def _filters(ground: Ground, found: list[Filter | None], method: str = 'filter',
              ) -> list[Contender]:
-    return judged(ground, [closure.filter_candidate(ground.known, f, ground.terms)
+    return judged(ground, [invariant_spaces.filter_candidate(ground.known, f, ground.terms)
                            for f in found if f is not None], method)
 
 
@@ -336,9 +336,9 @@ def _contenders(relaxed: Relaxed, ground: Ground) -> list[Contender]:
     rows = ([ground.known.v] if not len(ground.terms)
             else [ground.known.v, np.vstack([ground.known.v, ground.terms])])
     for outputs in rows:
-        for _, space in zip(range(CLOSURES), closure.closures(ground.known, outputs)):
-            found += judged(ground, closure.candidates(ground.known, last, space, ground.decay),
-                            'closed subspace')
+        for _, space in zip(range(CLOSURES), invariant_spaces.closures(ground.known, outputs)):
+            found += judged(ground, invariant_spaces.candidates(
+                ground.known, last, space, ground.decay), 'closed subspace')
     return found
 
 

@@ -33,9 +33,9 @@ from vsensor_ros.designer.quadratic import (
 )
 from vsensor_ros.designer.slopes import Interval, jumps, slope_bounds_on
 from vsensor_ros.designer.stability import lasting
-from vsensor_ros.expression import names, parse, to_text
+from vsensor_ros.functions.expression import names, parse, to_text
+from vsensor_ros.observers.virtual_sensor import Certificate, VirtualSensor
 from vsensor_ros.plant.plant import affine_node, Plant
-from vsensor_ros.virtual_sensor import Certificate, VirtualSensor
 
 INFINITE_SLOPE = 1e100
 REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # of boxes, in operating points

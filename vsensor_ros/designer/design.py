@@ -23,12 +23,12 @@ from vsensor_ros.designer.existence import (
     examine,
     measured_signs,
 )
-from vsensor_ros.designer.ladder import climb, doubtful
+from vsensor_ros.designer.order_noise import climb, doubtful
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.start import started
-from vsensor_ros.expression import check_name
+from vsensor_ros.functions.expression import check_name
+from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.virtual_sensor import Design, Refusal, VirtualSensor
 
 PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s

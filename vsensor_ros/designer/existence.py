@@ -23,7 +23,7 @@ from vsensor_ros.designer.subspaces import (
     left_kernel,
     unobservable,
 )
-from vsensor_ros.nonlinearity import set_valued
+from vsensor_ros.functions.nonlinearity import set_valued
 
 
 @dataclass(frozen=True, eq=False)

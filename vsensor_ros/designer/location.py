@@ -27,7 +27,7 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.subspaces import in_row_space, rank
-from vsensor_ros.expression import check_name
+from vsensor_ros.functions.expression import check_name
 from vsensor_ros.plant import Plant
 
 Loss = tuple[tuple[str, ...], str]  # a fault set and a channel of it

@@ -16,9 +16,9 @@ import sys
 
 import numpy as np
 
-from vsensor_ros.catalogue import EXP_CEILING, LOG_FLOOR
-from vsensor_ros.expression import Apply, fold, Name, names, Node, Number, parse
-from vsensor_ros.nonlinearity import argument_names, NonlinearTerm
+from vsensor_ros.functions.catalogue import EXP_CEILING, LOG_FLOOR
+from vsensor_ros.functions.expression import Apply, fold, Name, names, Node, Number, parse
+from vsensor_ros.functions.nonlinearity import argument_names, NonlinearTerm
 
 Interval = tuple[float, float]
 Extension = Callable[..., tuple[Interval, tuple[Interval, ...]]]

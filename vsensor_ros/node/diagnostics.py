@@ -14,9 +14,9 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from vsensor_ros.bank.switch import Policy
-from vsensor_ros.node.state import ChannelState, Health, stands_still
-from vsensor_ros.virtual_sensor import Design
+from vsensor_ros.engine.state import ChannelState, Health, stands_still
+from vsensor_ros.engine.switch import Policy
+from vsensor_ros.observers.virtual_sensor import Design
 
 LEVELS = {
     'real': DiagnosticStatus.OK,

@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.node.channel import Channel
+from vsensor_ros.engine.channel import Channel
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 

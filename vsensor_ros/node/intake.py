@@ -7,9 +7,9 @@ import traceback
 from rclpy.subscription import Subscription
 
 from vsensor_ros.bank import Bank
+from vsensor_ros.engine.channel import Channel
+from vsensor_ros.engine.clock import NodeClock
 from vsensor_ros.node.cdr import Reader
-from vsensor_ros.node.channel import Channel
-from vsensor_ros.node.clock import NodeClock
 from vsensor_ros.node.log import Log
 from vsensor_ros.node.parameters import Command
 from vsensor_ros.node.polling import DEPTH

@@ -19,10 +19,12 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.bank import Bank, Bumpless, Source, Switch
+from vsensor_ros.bank import Bank
+from vsensor_ros.engine import Bumpless, Source, Switch
+from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.engine.clock import NodeClock
+from vsensor_ros.engine.state import ChannelState, Health
 from vsensor_ros.node.cdr import Reader
-from vsensor_ros.node.channel import Channel, REAL, VIRTUAL
-from vsensor_ros.node.clock import NodeClock
 from vsensor_ros.node.estimates import Estimates
 from vsensor_ros.node.intake import Intake
 from vsensor_ros.node.log import Log
@@ -32,10 +34,9 @@ from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC
 from vsensor_ros.node.reports import kind_of, Reports
 from vsensor_ros.node.snapshot import channel_states, health, Rates, source
 from vsensor_ros.node.start import Start
-from vsensor_ros.node.state import ChannelState, Health
 from vsensor_ros.node.ticks import Ticks
 from vsensor_ros.node.topics import open_streams, Stream, Substitute
-from vsensor_ros.virtual_sensor import VirtualSensor
+from vsensor_ros.observers.virtual_sensor import VirtualSensor
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
 OUT_OF_LINE = 4.0  # standard deviations

@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
-from vsensor_ros.node import isolation
+from vsensor_ros.engine import isolation
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.polling import DEPTH, drain, LISTEN_RELIABLY, Polled, subscribe
 

@@ -16,6 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from vsensor_ros.engine.state import ChannelState, Health
 from vsensor_ros.node.diagnostics import (
     channel_facts,
     describe,
@@ -30,7 +31,6 @@ from vsensor_ros.node.diagnostics import (
 from vsensor_ros.node.graph import Complaint, complaints, ends_of
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
-from vsensor_ros.node.state import ChannelState, Health
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 import time
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.node.clock import NodeClock
+from vsensor_ros.engine.clock import NodeClock
 from vsensor_ros.node.pace import Pace
 
 CATCH_UP = 10  # ticks made good one by one when the loop or the clock is late; else the newest

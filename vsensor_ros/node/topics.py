@@ -20,10 +20,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.engine.clock import NodeClock
 from vsensor_ros.node.accessor import compile_holder, has_stamp, NOT_THERE, put_stamp, trace
 from vsensor_ros.node.cdr import decode, Reader, Reading
-from vsensor_ros.node.channel import Channel, REAL, VIRTUAL
-from vsensor_ros.node.clock import NodeClock
 from vsensor_ros.node.driver import blank, Driver, Drivers
 from vsensor_ros.node.parameters import Sensor
 from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe

@@ -21,8 +21,16 @@ import numpy as np
 import yaml
 
 from vsensor_ros.bad_input import BadInput, check_text, reason, shown
-from vsensor_ros.expression import check_name, fold, Node, Number, parse, substitute, to_text
-from vsensor_ros.nonlinearity import argument_names, make_term
+from vsensor_ros.functions.expression import (
+    check_name,
+    fold,
+    Node,
+    Number,
+    parse,
+    substitute,
+    to_text,
+)
+from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
 from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
 

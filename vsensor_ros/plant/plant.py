@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
-from vsensor_ros.expression import (
+from vsensor_ros.functions.expression import (
     Apply,
     check_name,
     Name,
@@ -23,7 +23,7 @@ from vsensor_ros.expression import (
     substitute,
     to_text,
 )
-from vsensor_ros.nonlinearity import (
+from vsensor_ros.functions.nonlinearity import (
     argument_names,
     check_term,
     evaluate,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
-from vsensor_ros.expression import (
+from vsensor_ros.functions.expression import (
     Apply,
     Closure,
     compile_node,
@@ -26,7 +26,13 @@ from vsensor_ros.expression import (
     Number,
     to_text,
 )
-from vsensor_ros.nonlinearity import argument_names, evaluate, make_term, NonlinearTerm, slope_at
+from vsensor_ros.functions.nonlinearity import (
+    argument_names,
+    evaluate,
+    make_term,
+    NonlinearTerm,
+    slope_at,
+)
 from vsensor_ros.plant.plant import affine_node, plain_name
 
 _OFFSET = ''    # the key of the constant in an affine form; no name is empty

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import yaml
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.expression import compile_expression, parse
+from vsensor_ros.functions.expression import compile_expression, parse
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate.fault import Channel, FAULTS
 from vsensor_ros.simulate.recording import find_recording, load_columns

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from vsensor_ros.nonlinearity import compile_term, set_valued
+from vsensor_ros.functions.nonlinearity import compile_term, set_valued
 from vsensor_ros.plant import Plant
 
 Array = NDArray[np.float64]

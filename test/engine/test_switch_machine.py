@@ -1,0 +1,278 @@
+"""The switch under random events, against a simple account of who is faulty."""
+
+from dataclasses import fields, replace
+from itertools import chain, combinations
+
+from hypothesis import settings, strategies as st
+from hypothesis.stateful import initialize, rule, RuleBasedStateMachine, run_state_machine_as_test
+
+from vsensor_ros.engine import Policy, Source, Switch
+from vsensor_ros.observers.virtual_sensor import Design, Refusal
+
+NAMES = ('a', 'b', 'c', 'd')
+SECOND = 1_000_000_000
+SETS = tuple(chain.from_iterable(combinations(NAMES, n) for n in range(1, 5)))
+KEYS = tuple((key, s) for key in SETS for s in key)
+SOME = st.frozensets(st.sampled_from(NAMES), max_size=3)
+POLICY = st.builds(Policy, st.sampled_from(['automatic'] * 3 + ['hold', 'latched']),
+                   st.sampled_from([0.0, 0.5, 2.0]), st.booleans())
+POLICIES = st.fixed_dictionaries(dict.fromkeys(NAMES, POLICY))
+SEEN = st.sampled_from([True, True, False])  # by a decision, at once
+STEPS = st.sampled_from([0.0, 0.001, 0.4, 1.0, 1.6, 2.0, 5.0])
+
+
+class Account:
+    """What happened to one sensor, in order: (what, when); 'bad', 'well' or 'pardon'."""
+
+    def __init__(self):
+        self.log = [('pardon', 0)]
+        self.was_bad = False
+
+    def note(self, bad, now):
+        if bad != self.was_bad:
+            self.log.append(('bad' if bad else 'well', now))
+        self.was_bad = bad
+
+    def faulty(self, policy, now):
+        """Tell whether it is not to be believed; once believed, it is until the next fault."""
+        self.log = [(what, min(when, now)) for what, when in self.log]  # a clock set back
+        what, when = self.log[-1]
+        if what == 'well' and policy.recovery == 'automatic' and \
+                now - when >= round(policy.dwell * SECOND):
+            self.log.append(('pardon', now))
+        return self.log[-1][0] != 'pardon'
+
+
+class Machine(RuleBasedStateMachine):
+    """Events at random times, looked at after each decision."""
+
+    def __init__(self, serve):
+        super().__init__()
+        self.serve = serve
+
+    @initialize(missing=st.frozensets(st.sampled_from(KEYS), max_size=24),
+                refused=st.frozensets(st.sampled_from(KEYS), max_size=8), policies=POLICIES)
+    def begin(self, missing, refused, policies):
+        self.there = {*KEYS} - missing - refused
+        entries = {key: self.serve(*key) if key in self.there else
+                   Refusal(key[1], key[0], 'cannot be seen') for key in KEYS if key not in missing}
+        self.design = Design('test', '0', ('x1',), (), NAMES, {}, None, entries)
+        self.ready = set(self.there)
+        self.policies, self.now = policies, 1000 * SECOND
+        self.switch = Switch.of(self.design, policies)
+        self.accounts = {s: Account() for s in NAMES}
+        self.reported = self.silent = frozenset()
+        self.counted = dict.fromkeys(NAMES, 0)
+        self.gone = {}  # by key: since it was given up in this fault, (when, ready) at decisions
+
+    # ------------------------------------------------------------------------------ events
+
+    def happen(self, event, *arguments):
+        """Let an event happen, twice: the second time nothing changes, nor does the old one."""
+        before, old = self.switch, {f.name: _copy(getattr(self.switch, f.name))
+                                    for f in fields(self.switch)}
+        self.switch = getattr(before, event)(*arguments)
+        assert getattr(self.switch, event)(*arguments) is self.switch
+        assert {name: getattr(before, name) for name in old} == old
+
+    def bad(self):
+        for s, account in self.accounts.items():
+            account.note(s in self.reported
+                         or (s in self.silent and self.policies[s].silent_is_faulty), self.now)
+
+    @rule(names=SOME, seen=SEEN)
+    def isolate(self, names, seen):
+        self.reported = names
+        self.bad()
+        self.happen('isolate', names, self.now)
+        self.decide(seen)
+
+    @rule(first=st.sampled_from(NAMES), second=st.sampled_from(NAMES))
+    def isolate_two_more(self, first, second):
+        self.reported |= {first, second}
+        self.bad()
+        ways = [self.switch.isolate(self.switch.reported | {s}, self.now)
+                .isolate(self.reported, self.now) for s in (first, second)]
+        ways = [self.look(w) for w in (*ways, self.switch.isolate(self.reported, self.now))]
+        assert all(w.decisions == ways[0].decisions and w.faulty == ways[0].faulty
+                   and w.switches == ways[0].switches for w in ways)
+        self.happen('isolate', self.reported, self.now)
+        self.decide()
+
+    @rule(names=SOME, seen=SEEN)
+    def silence(self, names, seen):
+        self.silent = names
+        self.bad()
+        self.happen('silence', names, self.now)
+        self.decide(seen)
+
+    @rule(name=st.sampled_from(NAMES), seen=SEEN)
+    def force(self, name, seen):
+        try:
+            self.happen('force', name, self.now)
+        except ValueError as error:
+            assert str(error).startswith(f'{name}: cannot be forced')
+            assert '\n' not in str(error) and name not in self.switch.forced
+        self.decide(seen)
+
+    @rule(name=st.sampled_from(NAMES), seen=SEEN)
+    def release(self, name, seen):
+        self.happen('release', name, self.now)
+        self.decide(seen)
+
+    @rule(name=st.sampled_from(NAMES), seen=SEEN)
+    def clear(self, name, seen):
+        account = self.accounts[name]
+        waits = account.log[-1][0] == 'well'
+        refused = account.was_bad or name in self.switch.forced or (
+            waits and self.policies[name].recovery == 'latched')
+        try:
+            self.happen('clear', name, self.now)
+            assert not refused
+        except ValueError as error:
+            assert refused and str(error).startswith(f'{name}: ') and '\n' not in str(error)
+        if waits and not refused:
+            account.log.append(('pardon', self.now))
+        self.decide(seen)
+
+    @rule(seen=SEEN)
+    def reset(self, seen):
+        self.happen('reset', self.now)
+        self.gone = {}
+        for account in self.accounts.values():
+            if account.log[-1][0] == 'well':
+                account.log.append(('pardon', self.now))
+        self.decide(seen)
+
+    @rule(policies=POLICIES, seen=SEEN)
+    def change_policies(self, policies, seen):
+        self.policies = policies
+        before = {s: a.was_bad for s, a in self.accounts.items()}
+        self.bad()
+        for s, account in self.accounts.items():
+            if before[s] and not account.was_bad:  # its silence does not count any more
+                account.log.append(('pardon', self.now))
+        self.happen('with_policies', policies)
+        self.decide(seen)
+
+    @rule(keys=st.one_of(st.just(KEYS), st.lists(st.sampled_from(KEYS), min_size=4, max_size=16)),
+          ready=st.sampled_from([False, False, True]), seen=SEEN)
+    def change_readiness(self, keys, ready, seen):
+        self.ready = self.ready | self.there & {*keys} if ready else self.ready - {*keys}
+        self.decide(seen)
+
+    # ----------------------------------------------------------------------------- decisions
+
+    def look(self, switch):
+        return switch.decide(self.now, lambda key, s: (key, s) in self.ready,
+                             lambda key, s: None if (key, s) in self.ready else 'converging')
+
+    @rule(step=STEPS, seen=SEEN)
+    def pass_time(self, step, seen):
+        self.now += round(step * SECOND)
+        self.decide(seen)
+
+    @rule(back=st.sampled_from([0.2, 3.0, 500.0]))
+    def set_clock_back(self, back):
+        self.now = max(0, self.now - round(back * SECOND))
+        self.decide()
+
+    def decide(self, seen=True):
+        if not seen:
+            return
+        old = self.switch
+        self.give_up(old)
+        self.switch = new = self.look(old)
+        self.gone = {(key, s): log for (key, s), log in self.gone.items() if s in new.faulty}
+        assert self.look(new) is new
+        core = {s for s in NAMES if self.accounts[s].faulty(self.policies[s], self.now)}
+        assert core <= new.faulty <= core | old.forced
+        assert new.forced <= old.forced
+        assert not new.recovering.keys() & new.failed
+        for s in NAMES:
+            self.check(s, old, new, core)
+        self.check_forces(old, new, core)
+        self.gone = {key: log for key, log in self.gone.items() if self.waits(*key)}
+
+    def give_up(self, old):
+        for (key, s), log in self.gone.items():
+            log[:] = [(min(when, self.now), ready) for when, ready in log]
+            log.append((self.now, (key, s) in self.ready))
+        for s, d in old.decisions.items():
+            if d.fault_set and old.faulty <= {*d.fault_set} and (d.fault_set, s) not in self.ready:
+                self.gone[d.fault_set, s] = [(self.now, False)]
+
+    def waits(self, key, s):
+        """Tell whether it was given up and has not been ready for the dwell since."""
+        log = self.gone.get((key, s), [])
+        dwell, began = round(self.policies[s].dwell * SECOND), None
+        for when, ready in log:
+            began = None if not ready else when if began is None else began
+            if ready and when - began >= dwell:
+                return False
+        return bool(log)
+
+    def check(self, s, old, new, core):
+        d, before = new.decisions[s], old.decisions[s]
+        assert '\n' not in d.reason
+        may = self.may(new.faulty, s)
+        if s not in new.faulty:
+            assert (d.source, d.fault_set) == (Source.REAL, ())
+        elif d.source is Source.VIRTUAL:
+            assert d.fault_set in may and d.reason
+        else:
+            assert d.source is Source.NONE and d.fault_set == () and d.reason and not may
+        if s in new.faulty and before.fault_set in may:
+            assert d.fault_set == before.fault_set or set(d.fault_set) == new.faulty
+        elif d.source is Source.VIRTUAL:
+            assert len(d.fault_set) == min(map(len, may))
+        changed = (d.source, d.fault_set) != (before.source, before.fault_set)
+        self.counted[s] += changed
+        assert new.switches[s] == self.counted[s]
+        if changed:
+            assert new.since[s] == self.now
+        assert new.since[s] is None or new.since[s] <= self.now
+
+    def check_forces(self, old, new, core):
+        for s in NAMES:
+            if s not in core and s in new.faulty:  # honoured
+                assert s in new.forced and new.decisions[s].source is Source.VIRTUAL
+            elif s not in core and s in old.forced:  # waits, or ended if it served
+                assert (s in new.forced) != (old.decisions[s].source is Source.VIRTUAL)
+                assert new.decisions[s].reason.startswith('force ')
+                everyone = new.faulty | {s}
+                assert any(not self.may(everyone, c) for c in everyone)
+        for s in core:  # nobody lost its virtual sensor to a force
+            if new.decisions[s].source is Source.NONE:
+                assert self.may(core, s, self.there) == self.may(new.faulty, s, self.there)
+
+    def may(self, faulty, s, among=None):
+        return {key for key, c in (self.ready if among is None else among)
+                if c == s and set(key) >= set(faulty)
+                and (among is not None or not self.waits(key, s))}
+
+
+def _copy(value):
+    return dict(value) if isinstance(value, dict) else value
+
+
+def test_any_events_at_any_times(bench):
+    made = {}
+
+    def serve(key, channel):
+        if (key, channel) not in made:
+            healthy = tuple(s for s in NAMES if s not in key)
+            v = bench.virtual_sensor([[-1.0]], [[1.0] * len(healthy)], fault_set=key,
+                                     healthy=healthy)
+            made[key, channel] = replace(v, channel=channel)
+        return made[key, channel]
+    run_state_machine_as_test(lambda: Machine(serve), settings=settings(
+        max_examples=50, stateful_step_count=40))
+
+
+def test_the_account_of_the_machine_is_right():
+    account, policy = Account(), Policy(dwell=2.0)
+    assert not account.faulty(policy, 0)
+    account.note(True, 1 * SECOND)
+    account.note(False, 2 * SECOND)
+    assert account.faulty(policy, 4 * SECOND - 1) and not account.faulty(policy, 4 * SECOND)

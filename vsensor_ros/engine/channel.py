@@ -1,0 +1,67 @@
+"""One channel as its listeners see it: where its values come from, and how one source follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+from vsensor_ros.engine.bumpless import Bumpless
+
+REAL = 'real'
+VIRTUAL = 'virtual'
+NONE = 'none'  # nothing, or something in place of a value: the last one, NaN, the failed reading
+
+
+@dataclass(eq=False)
+class Channel:
+    """
+    What goes out of one channel. Times are in ns, with the jumps of clocks taken out.
+
+    A switch is counted when the first message of another source goes out, or when none does.
+    """
+
+    name: str
+    max_age: int  # of what went out, to be continued without a step
+    blend: Bumpless  # what is left of the offset of the last switch
+    source: str = REAL  # of what goes out
+    fault_set: tuple[str, ...] = ()  # of the virtual sensor, if that is the source
+    since: int | None = None  # the last switch
+    virtual: int = 0  # in all in virtual mode, up to the last switch
+    switches: int = 0
+    value: float = math.nan  # that went out last
+    sent: int | None = None  # when
+    readings: int = 0  # that came in
+
+    def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
+              above: float | None = None) -> float:
+        """
+        Return what is to go out for the value of a source, which may be another one than before.
+
+        above: by how much the old source lies above the new one, NaN if that is not known; None:
+        by what went out last. There is no offset to what was no value, or is too long ago.
+        """
+        if (source, fault_set) != (self.source, self.fault_set):
+            before = offset = math.nan
+            if self.source != NONE and self.sent is not None and now - self.sent <= self.max_age:
+                before = self.value
+                offset = before - value if above is None else above + self.blend.left(now)
+            self._turn(source, fault_set, now)
+            self.blend = self.blend.begin(now, offset, before)
+        self.value, self.sent = self.blend.add(value, now), now
+        self.blend = self.blend.sent(self.value)
+        return self.value
+
+    def stop(self, now: int) -> None:
+        """Note that no value goes out from now on."""
+        if self.source != NONE:
+            self._turn(NONE, (), now)
+            self.blend = self.blend.begin(now, 0.0)
+
+    def virtual_time(self, now: int) -> int:
+        """Return how long in all it was virtual."""
+        return self.virtual + (now - (self.since or 0) if self.source == VIRTUAL else 0)
+
+    def _turn(self, source: str, fault_set: tuple[str, ...], now: int) -> None:
+        self.virtual = self.virtual_time(now)
+        self.source, self.fault_set, self.since = source, fault_set, now
+        self.switches += 1

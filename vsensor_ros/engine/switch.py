@@ -1,0 +1,405 @@
+"""
+Who serves each channel: the sensor itself, a virtual sensor, or nobody.
+
+A pure state machine: events and a time [ns] go in, a new Switch comes out; nothing else changes.
+What isolation says is believed at once when it says 'faulty', and after a dwell when it says
+'healthy'. So a fault that toggles makes one switch to the virtual sensor and none back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+import math
+
+from vsensor_ros.observers.virtual_sensor import Design, Refusal
+
+FaultSet = tuple[str, ...]  # in the design's order
+Ready = Callable[[FaultSet, str], bool]
+WhyNot = Callable[[FaultSet, str], str | None]
+
+_TOLD = 1_000_000_000  # ns between two wordings of one reason: what it says of times grows old
+_RECOVERY = {'automatic': 'healthy again, believed after {:g} s without a fault',
+             'hold': 'healthy again, held until cleared',
+             'latched': 'latched until reset'}
+
+
+class Source(Enum):
+    """Where a channel's values come from."""
+
+    REAL = 'real'
+    VIRTUAL = 'virtual'
+    NONE = 'none'
+
+
+_REAL: tuple[Source, FaultSet] = (Source.REAL, ())
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Who serves one channel, and why not another."""
+
+    source: Source
+    fault_set: FaultSet = ()  # of the virtual sensor that serves
+    reason: str = ''  # one line
+
+
+@dataclass(frozen=True)
+class Policy:
+    """
+    What one sensor must do to be believed again after a fault.
+
+    'automatic': be healthy for the dwell; 'hold': be cleared, too; 'latched': all are reset.
+    Raises ValueError, one line.
+    """
+
+    recovery: str = 'automatic'
+    dwell: float = 2.0  # s of health without interruption before it is believed; 0: none
+    silent_is_faulty: bool = False
+
+    def __post_init__(self) -> None:
+        if self.recovery not in _RECOVERY:
+            raise ValueError(f'recovery: {self.recovery!r} is none of {", ".join(_RECOVERY)}')
+        if not (math.isfinite(self.dwell) and self.dwell >= 0.0):
+            raise ValueError(f'dwell: {self.dwell} is not a time in s; give 0 or more')
+
+
+@dataclass(frozen=True)
+class Switch:
+    """
+    Which sensors are not believed, and for each channel the decision that follows from it.
+
+    `faulty` is the effective set: those reported, those silent whose silence counts, those
+    recovering (healthy since that time [ns], not yet believed) and those forced. Reports make it
+    grow at once; it shrinks, and decisions change, in `decide` only.
+
+    The exact set's virtual sensor serves when it is ready; else the smallest ready one designed
+    for a superset, which reads none of the faulty sensors either; else nobody. Whoever serves
+    goes on as long as it may, with one exception: the exact set's takes over from a superset's
+    when it becomes ready, because it reads more sensors. Whoever was given up during a fault
+    because it was not ready must first be ready for the dwell without interruption, also when
+    nobody serves.
+
+    `since` is the time [ns] at which each channel was last given to another, None before the
+    first; `switches` counts that. A new reason is no switch.
+    """
+
+    design: Design
+    policies: Mapping[str, Policy]
+    decisions: Mapping[str, Decision]
+    since: Mapping[str, int | None]
+    switches: Mapping[str, int]
+    faulty: frozenset[str] = frozenset()
+    reported: frozenset[str] = frozenset()
+    silent: frozenset[str] = frozenset()
+    forced: frozenset[str] = frozenset()
+    recovering: Mapping[str, int] = field(default_factory=dict)
+    # by faulty channel: who was given up because it was not ready, and since when it is again
+    lost: Mapping[str, Mapping[FaultSet, int | None]] = field(default_factory=dict)
+    latest: int = 0  # ns, of all times noted here: a clock that shows less was set back
+    told: int | None = None  # ns at which the reasons were put in words; None: not up to date
+    # by channel: the fault sets that it has a virtual sensor for, the smallest first
+    designed: Mapping[str, tuple[tuple[frozenset[str], FaultSet], ...]] = field(
+        default_factory=dict)
+
+    @classmethod
+    def of(cls, design: Design, policies: Mapping[str, Policy] | None = None) -> Switch:
+        """Begin with all sensors healthy; those that have no policy get the default one."""
+        names = design.sensors
+        designed: dict[str, list[FaultSet]] = {s: [] for s in names}
+        for v in design.virtual_sensors:
+            if v.channel in designed:  # no wanted functional
+                designed[v.channel].append(v.fault_set)
+        return cls(design, _complete(design, policies or {}),
+                   dict.fromkeys(names, Decision(Source.REAL)), dict.fromkeys(names),
+                   dict.fromkeys(names, 0),
+                   designed={s: tuple((frozenset(key), key) for key in sorted(keys, key=len))
+                             for s, keys in designed.items()})
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """All sensors, in the design's order."""
+        return self.design.sensors
+
+    @property
+    def failed(self) -> frozenset[str]:
+        """Those that something is wrong with now: reported, or silent and that counts."""
+        return self.reported | {s for s in self.silent if self.policies[s].silent_is_faulty}
+
+    # ------------------------------------------------------------------------------- events
+
+    def isolate(self, names: Iterable[str], time: int) -> Switch:
+        """Take these sensors as reported faulty, all others as healthy; KeyError if unknown."""
+        reported = self._known(names)
+        return self if reported == self.reported else self._report(time, reported, self.silent)
+
+    def silence(self, names: Iterable[str], time: int) -> Switch:
+        """Take these sensors as silent, all others as heard; KeyError if one is unknown."""
+        silent = self._known(names)
+        return self if silent == self.silent else self._report(time, self.reported, silent)
+
+    def force(self, name: str, time: int) -> Switch:
+        """
+        Treat a sensor as faulty until it is released, as soon as that does no harm.
+
+        A force is for tests and maintenance, so it never makes anything worse: the sensor goes on
+        until a virtual one is ready, and the force ends by itself when that is lost, or when it
+        leaves a sensor that did fail without a virtual one. Raises ValueError, one line, when no
+        virtual sensor could ever serve with the present faults; KeyError if unknown.
+        """
+        self._known((name,))
+        if name in self.forced:
+            return self
+        others = self.failed | self.recovering.keys() | self.forced
+        for channel in (name, *(s for s in self.sensors if s in others)):
+            left = self._candidates(others | {name}, channel)
+            if left or (channel != name and not self._candidates(others, channel)):
+                continue
+            failed = ', '.join(s for s in self.sensors if s in others | {name})
+            raise ValueError(f'{name}: cannot be forced; no virtual sensor is designed that '
+                             f'could speak for {channel} without {failed}')
+        return replace(self, forced=self.forced | {name}, told=None)
+
+    def release(self, name: str, time: int) -> Switch:
+        """End the force on a sensor, which is believed at once if it has not failed; KeyError."""
+        self._known((name,))
+        if name not in self.forced:
+            return self
+        return replace(self, forced=self.forced - {name}, told=None,
+                       decisions=self._without_notes((name,)))
+
+    def clear(self, name: str, time: int) -> Switch:
+        """
+        Believe a sensor that is healthy again at once, whatever it waits for.
+
+        Raises ValueError, one line, when it is still faulty, latched or forced; KeyError if
+        unknown.
+        """
+        self._known((name,))
+        if name in self.reported:
+            raise ValueError(f'{name}: isolation still reports it faulty; repair it first')
+        if name in self.failed:
+            raise ValueError(f'{name}: is still silent; check its driver first')
+        if name in self.recovering and self.policies[name].recovery == 'latched':
+            raise ValueError(f'{name}: is latched; reset the replacer')
+        if name in self.forced:
+            raise ValueError(f'{name}: is forced; release it')
+        if name not in self.recovering:
+            return self
+        return replace(self, told=None,
+                       recovering={s: t for s, t in self.recovering.items() if s != name})
+
+    def reset(self, time: int) -> Switch:
+        """Forget forces and all that recovering sensors wait for; what is reported stays."""
+        decisions = self._without_notes(self.sensors)
+        if not (self.forced or self.recovering or self.lost) and decisions == self.decisions:
+            return self
+        return replace(self, forced=frozenset(), recovering={}, lost={}, told=None,
+                       decisions=decisions)
+
+    def with_policies(self, policies: Mapping[str, Policy]) -> Switch:
+        """Change the policies, for sensors that recover now, too; KeyError if one is unknown."""
+        policies = _complete(self.design, policies)
+        if policies == self.policies:
+            return self
+        new = replace(self, policies=policies, told=None)
+        failed = new.failed  # silence may count now
+        return replace(new, faulty=self.faulty | failed, recovering={
+            s: t for s, t in self.recovering.items() if s not in failed})
+
+    # ----------------------------------------------------------------------------- decisions
+
+    def decide(self, time: int, ready: Ready, why_not: WhyNot) -> Switch:
+        """
+        Decide who serves each channel now; to be called after events and at each tick.
+
+        ready tells whether a virtual sensor, given by its fault set and channel, may serve;
+        why_not says in words why it may not. A dwell that began after `time` begins then: a clock
+        that was set back delays a recovery by no more than the dwell.
+        """
+        if not self.faulty and not self.forced and time >= self.latest:
+            return self
+        if time < self.latest:
+            return self._set_back(time).decide(time, ready, why_not)
+        recovering = {s: t for s, t in self.recovering.items() if not self._over(s, t, time)}
+        if len(recovering) < len(self.recovering):
+            return replace(self, recovering=recovering, told=None).decide(time, ready, why_not)
+        lost = self._lost(time, ready)
+
+        def may_serve(key: FaultSet, channel: str) -> bool:
+            return key not in lost.get(channel, ()) and ready(key, channel)
+        faulty, ended, blocked = self._force(may_serve)
+        lost = {s: keys for s, keys in lost.items() if s in faulty}
+        may = {s: self._candidates(faulty, s) for s in self.sensors if s in faulty}
+        servers = {s: self._choose(s, may[s], len(may), may_serve) for s in may}
+        servers.update(dict.fromkeys(self.faulty - faulty, _REAL))
+        changed = [s for s, server in servers.items()
+                   if server != (self.decisions[s].source, self.decisions[s].fault_set)]
+        if not changed and faulty == self.faulty and lost == self.lost and not ended and \
+                self.told is not None and 0 <= time - self.told < _TOLD:
+            return self
+        new = replace(self, faulty=faulty, forced=self.forced - ended, lost=lost, latest=time,
+                      told=time, since={**self.since, **dict.fromkeys(changed, time)},
+                      switches={s: n + (s in changed) for s, n in self.switches.items()})
+        decisions = {s: new._decision(s, *servers.get(s, _REAL), blocked, why_not)
+                     for s in self.sensors}
+        return replace(new, decisions=decisions)
+
+    # --------------------------------------------------------------------------- what follows
+
+    def _known(self, names: Iterable[str]) -> frozenset[str]:
+        found = frozenset(names)
+        unknown = sorted(found.difference(self.policies))
+        if unknown:
+            raise KeyError(f'{", ".join(unknown)}: no such sensor')
+        return found
+
+    def _report(self, time: int, reported: frozenset[str], silent: frozenset[str]) -> Switch:
+        before = self.failed
+        new = replace(self, reported=reported, silent=silent, told=None)
+        failed = new.failed
+        recovering = {s: t for s, t in self.recovering.items() if s not in failed}
+        recovering.update(dict.fromkeys(before - failed, time))
+        return replace(new, recovering=recovering, faulty=self.faulty | failed,
+                       latest=max(self.latest, time))
+
+    def _set_back(self, time: int) -> Switch:
+        return replace(
+            self, latest=time, told=None,
+            recovering={s: min(t, time) for s, t in self.recovering.items()},
+            lost={s: {key: None if t is None else min(t, time) for key, t in keys.items()}
+                  for s, keys in self.lost.items()},
+            since={s: None if t is None else min(t, time) for s, t in self.since.items()})
+
+    def _dwell(self, name: str) -> int:
+        return round(self.policies[name].dwell * 1e9)
+
+    def _over(self, name: str, since: int, time: int) -> bool:
+        return self.policies[name].recovery == 'automatic' and time - since >= self._dwell(name)
+
+    def _candidates(self, faulty: frozenset[str], channel: str) -> tuple[FaultSet, ...]:
+        return tuple(key for names, key in self.designed[channel] if faulty <= names)
+
+    def _force(self, ready: Ready) -> tuple[frozenset[str], frozenset[str], dict[str, str]]:
+        """Return the effective set, whose force ends, and by forced one whom it would harm."""
+        core = faulty = self.failed | self.recovering.keys()
+        ended, blocked = set(), {}
+        wanted = [s for s in self.sensors if s in self.forced - core]
+        for name in sorted(wanted, key=lambda s: self.decisions[s].source is not Source.VIRTUAL):
+            harmed = self._harmed(core, faulty | {name}, ready)
+            if harmed is None:
+                faulty |= {name}
+                continue
+            blocked[name] = harmed
+            if self.decisions[name].source is Source.VIRTUAL:
+                ended.add(name)
+        return faulty, frozenset(ended), blocked
+
+    def _harmed(self, core: frozenset[str], faulty: frozenset[str], ready: Ready) -> str | None:
+        """Return who has no virtual sensor when all of these are faulty, and could without."""
+        for channel in self.sensors:
+            if channel in faulty:
+                left = self._candidates(faulty, channel)
+                if not any(ready(key, channel) for key in left) and (
+                        channel not in core or left != self._candidates(core, channel)):
+                    return channel
+        return None
+
+    def _lost(self, time: int, ready: Ready) -> dict[str, dict[FaultSet, int | None]]:
+        """Note by channel who was given up, until it has been ready again for the dwell."""
+        found: dict[str, dict[FaultSet, int | None]] = {}
+        for name, d in self.decisions.items():
+            keys = {key: (time if since is None else since) if ready(key, name) else None
+                    for key, since in self.lost.get(name, {}).items()}
+            if d.source is Source.VIRTUAL and self.faulty.issubset(d.fault_set) and \
+                    not ready(d.fault_set, name):
+                keys[d.fault_set] = None
+            keys = {key: since for key, since in keys.items()
+                    if since is None or time - since < self._dwell(name)}
+            if keys:
+                found[name] = keys
+        return found
+
+    def _choose(self, name: str, candidates: tuple[FaultSet, ...], size: int,
+                ready: Ready) -> tuple[Source, FaultSet]:
+        """Choose the virtual sensor that serves when so many sensors are faulty."""
+        present = self.decisions[name].fault_set
+        if present in candidates and ready(present, name) and (
+                present == candidates[0] or len(candidates[0]) > size
+                or not ready(candidates[0], name)):  # the exact set's is the smallest
+            return Source.VIRTUAL, present
+        for key in candidates:
+            if ready(key, name):
+                return Source.VIRTUAL, key
+        return Source.NONE, ()
+
+    # -------------------------------------------------------------------------------- words
+
+    def _without_notes(self, names: Iterable[str]) -> dict[str, Decision]:
+        decisions = dict(self.decisions)
+        for name in names:
+            if decisions[name].source is Source.REAL:
+                decisions[name] = Decision(Source.REAL)
+        return decisions
+
+    def _decision(self, name: str, source: Source, fault_set: FaultSet,
+                  blocked: Mapping[str, str], why_not: WhyNot) -> Decision:
+        """Put in one line why the channel is served as it is."""
+        if name in blocked:
+            harmed = blocked[name]
+            reason = ('force waits: ' if name in self.forced else 'force ended: ') + \
+                ('' if harmed == name else f'{harmed}: ') + \
+                self._lack(harmed, self.faulty | {name}, why_not)
+        elif source is Source.NONE:
+            reason = self._lack(name, self.faulty, why_not)
+        elif source is Source.VIRTUAL:
+            reason = self._why(name)
+            if len(fault_set) > len(self.faulty):
+                exact = tuple(s for s in self.sensors if s in self.faulty)
+                reason += f'; {self._lack_of(exact, name, why_not)}'
+        elif self.decisions[name].source is source and name not in self.forced:
+            return self.decisions[name]  # with the note, if any, that a force ended
+        else:
+            reason = ''
+        return Decision(source, fault_set, reason)
+
+    def _lack(self, name: str, faulty: frozenset[str], why_not: WhyNot) -> str:
+        """Say why neither the exact set's virtual sensor serves nor the next best."""
+        exact = tuple(s for s in self.sensors if s in faulty)
+        text = self._lack_of(exact, name, why_not)
+        for key in self._candidates(faulty, name):
+            if key != exact:
+                return f'{text}; that for {", ".join(key)}: {self._lack_of(key, name, why_not)}'
+        return text
+
+    def _lack_of(self, fault_set: FaultSet, name: str, why_not: WhyNot) -> str:
+        entry = self.design.entries.get((fault_set, name))
+        if isinstance(entry, Refusal):
+            return entry.reason
+        if entry is not None:
+            again = self.lost.get(name, {}).get(fault_set)
+            if again is not None:
+                return (f'ready again for {(self.latest - again) * 1e-9:.1f} s, serves after '
+                        f'{self.policies[name].dwell:.1f} s')
+            return why_not(fault_set, name) or 'was not ready until just now'
+        failed = (s if s in self.reported else f'{s} ({self._why(s)})' for s in fault_set)
+        return f'no design for the faulty sensors {", ".join(failed)}'
+
+    def _why(self, name: str) -> str:
+        """Say why a faulty sensor is not believed."""
+        if name in self.reported:
+            return 'isolated'
+        if name in self.failed:
+            return 'silent'
+        if name in self.recovering:
+            policy = self.policies[name]
+            return _RECOVERY[policy.recovery].format(policy.dwell)
+        return 'forced'
+
+
+def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:
+    unknown = sorted(set(policies).difference(design.sensors))
+    if unknown:
+        raise KeyError(f'{", ".join(unknown)}: no such sensor')
+    return {s: policies.get(s, Policy()) for s in design.sensors}

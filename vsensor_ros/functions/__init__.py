@@ -1,0 +1,1 @@
+"""The language of equations: expressions, their functions, and nonlinear terms made of them."""

@@ -1,0 +1,373 @@
+"""
+The safe expression language of plant and design files.
+
+Numbers, names, `pi`, + - * / **, parentheses and the functions of the catalogue; nothing
+else is accepted and nothing is ever executed: the text is read by Python's parser into a
+syntax tree, the tree is walked against a whitelist, and what is kept is three small node
+types that compile to closures over numpy.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+import difflib
+import keyword
+import math
+import re
+from typing import Any
+import warnings
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.functions.catalogue import CATALOGUE, Function, OPERATORS
+
+MAX_CHARACTERS = 2000
+MAX_DEPTH = 50
+CONSTANTS = {'pi': math.pi}
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite constant."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Name:
+    """A variable."""
+
+    id: str
+
+
+@dataclass(frozen=True)
+class Apply:
+    """A function of the catalogue, or an operator (+ - * / ** neg), applied."""
+
+    function: str
+    arguments: tuple[Node, ...]
+
+
+Node = Number | Name | Apply
+Closure = Callable[[Any], Any]
+
+_BINARY: dict[type, str] = {ast.Add: '+', ast.Sub: '-', ast.Mult: '*', ast.Div: '/',
+                            ast.Pow: '**'}
+_WORDS: dict[type, str] = {
+    ast.Attribute: 'an attribute (a dot after a name)', ast.Lambda: 'lambda',
+    ast.Compare: 'a comparison', ast.IfExp: 'if ... else', ast.Subscript: 'an index [ ]',
+    ast.BoolOp: 'and / or', ast.BitXor: '^ (a power is written **)',
+    ast.Tuple: 'a comma (a decimal is written with a point)', ast.Mod: '%',
+    ast.FloorDiv: '//', ast.MatMult: '@', ast.ListComp: 'a comprehension',
+    ast.SetComp: 'a comprehension', ast.DictComp: 'a comprehension',
+    ast.GeneratorExp: 'a comprehension', ast.List: 'a list', ast.NamedExpr: ':=',
+    ast.JoinedStr: 'a text', ast.Not: 'not', ast.Starred: 'a star', ast.keyword: 'a keyword'}
+_ALLOWED = ('use numbers, names, pi, + - * / **, parentheses and the functions '
+            + ', '.join(CATALOGUE))
+
+
+def parse(text: str | float, where: object = 'expression', key: str = '',
+          known: Iterable[str] | None = None) -> Node:
+    """
+    Read an expression; a plain number is one too.
+
+    known: the names it may use (all when None).
+    Raises BadInput when anything outside the language is in it, naming that and what is
+    allowed, and when a constant part of it has no finite value.
+    """
+    if isinstance(text, (int, float)) and not isinstance(text, bool):
+        if text != text or text in (math.inf, -math.inf):
+            raise BadInput(where, key, f'{text} is not finite', 'give a finite number')
+        text = repr(text)
+    if not isinstance(text, str):
+        raise BadInput(where, key, f'{shown(text)} is not an expression', _ALLOWED)
+    if len(text) > MAX_CHARACTERS:
+        raise BadInput(where, key, f'the expression has {len(text)} characters',
+                       f'keep it within {MAX_CHARACTERS}')
+    text = ' '.join(text.split())
+    if not text:
+        raise BadInput(where, key, 'the expression is empty', _ALLOWED)
+    if not text.isascii() or '#' in text:
+        strange = next(c for c in text if not c.isascii() or c == '#')
+        raise BadInput(where, key, f'{shown(strange)} is not in the language', _ALLOWED)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            tree = ast.parse(text, mode='eval').body
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else 'nested too deeply'
+        raise BadInput(where, key, f'{shown(text)} cannot be read ({reason})',
+                       _ALLOWED) from None
+    node = _whitelisted(tree, where, key, 1)
+    if known is not None:
+        check_names(node, known, where, key)
+    fold(node, where, key)
+    return node
+
+
+def check_name(name: object, where: object, key: str) -> str:
+    """Return the name; raise BadInput unless it is an identifier the language can use."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise BadInput(where, key, f'{shown(name)} is not a name',
+                       'use letters, digits and _, beginning with a letter')
+    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS:
+        raise BadInput(where, key, f'{name} is a word of the expression language',
+                       f'choose another name, such as {name}_')
+    return name
+
+
+def check_names(node: Node, known: Iterable[str], where: object = 'expression',
+                key: str = '') -> None:
+    """Raise BadInput, with the known names in it, when a node uses another name."""
+    known = list(known)
+    for name in names(node):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            raise BadInput(where, key, f'unknown name {shown(name)}',
+                           (f'did you mean {near[0]}? ' if near else '')
+                           + 'known names: ' + (', '.join(known) or 'none'))
+
+
+def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
+    def refused(what: str) -> BadInput:
+        return BadInput(where, key, f'{what} is not in the language', _ALLOWED)
+
+    if depth > MAX_DEPTH:
+        raise BadInput(where, key, f'the expression is nested more than {MAX_DEPTH} deep',
+                       'bracket long sums into parts')
+    if isinstance(tree, ast.Constant):
+        if not isinstance(tree.value, (int, float)) or isinstance(tree.value, bool):
+            raise refused(shown(tree.value))
+        try:
+            value = float(tree.value)
+        except OverflowError:
+            value = math.inf
+        if not math.isfinite(value):
+            raise BadInput(where, key, 'a number in it is too large', 'keep it below 1e308')
+        return Number(value)
+    if isinstance(tree, ast.Name):
+        if tree.id in CATALOGUE:
+            raise BadInput(where, key, f'{tree.id} is a function',
+                           f'write {tree.id}(...) or rename the variable')
+        return Number(CONSTANTS[tree.id]) if tree.id in CONSTANTS else Name(tree.id)
+    if isinstance(tree, ast.BinOp):
+        if type(tree.op) not in _BINARY:
+            raise refused(_word(tree.op))
+        return Apply(_BINARY[type(tree.op)],
+                     (_whitelisted(tree.left, where, key, depth + 1),
+                      _whitelisted(tree.right, where, key, depth + 1)))
+    if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, (ast.USub, ast.UAdd)):
+        operand = _whitelisted(tree.operand, where, key, depth + 1)
+        return negate(operand) if isinstance(tree.op, ast.USub) else operand
+    if isinstance(tree, ast.Call):
+        if not isinstance(tree.func, ast.Name):
+            raise refused('a call of a call' if isinstance(tree.func, ast.Call)
+                          else _word(tree.func))
+        name = tree.func.id
+        if name not in CATALOGUE:
+            near = difflib.get_close_matches(name, CATALOGUE, 1)
+            hint = f'did you mean {near[0]}? ' if near else ''
+            raise BadInput(where, key, f'the function {shown(name)} is not in the language',
+                           hint + _ALLOWED)
+        strange = [a for a in tree.args if isinstance(a, ast.Starred)] + tree.keywords
+        if strange:
+            raise refused(_word(strange[0]))
+        arity = CATALOGUE[name].arity
+        if len(tree.args) != arity:
+            raise BadInput(where, key, f'{name} is given {len(tree.args)} arguments',
+                           f'it takes {arity}')
+        return Apply(name, tuple(_whitelisted(a, where, key, depth + 1) for a in tree.args))
+    raise refused(_word(tree.op if isinstance(tree, ast.UnaryOp) else tree))
+
+
+def _word(tree: ast.AST) -> str:
+    return _WORDS.get(type(tree), type(tree).__name__)
+
+
+def negate(node: Node) -> Node:
+    """Return -node; a number stays a number."""
+    return Number(-node.value) if isinstance(node, Number) else Apply('neg', (node,))
+
+
+_PRECEDENCE = {'+': 1, '-': 1, '*': 2, '/': 2, 'neg': 3, '**': 4}
+
+
+def to_text(node: Node) -> str:
+    """Print a node so that parse gives the same node again."""
+    return _printed(node)[0]
+
+
+def _printed(node: Node) -> tuple[str, int]:
+    if isinstance(node, Name):
+        return node.id, 5
+    if isinstance(node, Number):
+        text = repr(float(node.value))
+        negative = text.startswith('-')
+        return text[:-2] if text.endswith('.0') else text, 3 if negative else 5
+    if node.function not in OPERATORS:
+        return f'{node.function}({", ".join(to_text(a) for a in node.arguments)})', 5
+    own = _PRECEDENCE[node.function]
+
+    def side(argument: Node, at_least: int) -> str:
+        text, precedence = _printed(argument)
+        return text if precedence >= at_least else f'({text})'
+
+    if node.function == 'neg':
+        return '-' + side(node.arguments[0], own), own
+    left, right = node.arguments
+    if node.function == '**':
+        return f'{side(left, 5)}**{side(right, 3)}', own
+    space = ' ' if own == 1 else ''
+    return f'{side(left, own)}{space}{node.function}{space}{side(right, own + 1)}', own
+
+
+def walk(node: Node) -> Iterator[Node]:
+    """Go through a node and all its parts."""
+    yield node
+    if isinstance(node, Apply):
+        for argument in node.arguments:
+            yield from walk(argument)
+
+
+def names(node: Node) -> tuple[str, ...]:
+    """Return the names in a node, in order of first appearance."""
+    return tuple(dict.fromkeys(part.id for part in walk(node) if isinstance(part, Name)))
+
+
+def substitute(node: Node, values: Mapping[str, Node | float]) -> Node:
+    """Replace names, all at once."""
+    if isinstance(node, Name) and node.id in values:
+        value = values[node.id]
+        return Number(float(value)) if isinstance(value, (int, float)) else value
+    if isinstance(node, Apply):
+        return Apply(node.function, tuple(substitute(a, values) for a in node.arguments))
+    return node
+
+
+def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
+    """
+    Replace every constant part by its number.
+
+    Raises BadInput when such a part is not finite, and where the constants alone put a
+    function outside its domain: a divisor that is 0, limits in the wrong order.
+    """
+    if not isinstance(node, Apply):
+        return node
+    arguments = tuple(fold(a, where, key) for a in node.arguments)
+    folded = Apply(node.function, arguments)
+    function = function_of(node)
+    # NaN stands for what is not known yet and lies in every domain
+    numbers = [a.value if isinstance(a, Number) else math.nan for a in arguments]
+    with np.errstate(all='ignore'):
+        outside = function.outside is not None and bool(function.outside(*numbers))
+        if not outside and not all(isinstance(a, Number) for a in arguments):
+            return folded
+        value = float(function.value(*numbers))
+    if outside or not math.isfinite(value):
+        why = f'domain: {function.domain}' if outside else 'too large'
+        raise BadInput(where, key, f'{shown(to_text(folded))} has no value ({why})',
+                       'correct the numbers or parameters in it')
+    return Number(value)
+
+
+def function_of(node: Apply) -> Function:
+    """Return the catalogue entry of what a node applies."""
+    return OPERATORS.get(node.function) or CATALOGUE[node.function]
+
+
+def compile_node(node: Node, fetch: Mapping[str, Closure]) -> Closure:
+    """
+    Turn a node into a closure; fetch gives each name's value from the closure's argument.
+
+    Overflow warns as numpy does: wrap a hot loop in np.errstate(all='ignore') once.
+    """
+    if isinstance(node, Number):
+        value = node.value
+        return lambda at: value
+    if isinstance(node, Name):
+        return fetch[node.id]
+    function = function_of(node).value
+    if len(node.arguments) == 1:
+        only = compile_node(node.arguments[0], fetch)
+        return lambda at: function(only(at))
+    if len(node.arguments) == 2:
+        left, right = (compile_node(a, fetch) for a in node.arguments)
+        return lambda at: function(left(at), right(at))
+    parts = tuple(compile_node(a, fetch) for a in node.arguments)
+    return lambda at: function(*[part(at) for part in parts])
+
+
+def domain_limited(node: Apply) -> bool:
+    """Whether some arguments lie outside the domain of what the node applies."""
+    last = node.arguments[-1]
+    if node.function == '**' and isinstance(last, Number):
+        return last.value < 0.0 or not last.value.is_integer()
+    if node.function in ('/', 'sat', 'deadzone') \
+            and all(isinstance(a, Number) for a in node.arguments[1:]):
+        return False    # the first argument does not matter, and fold has checked the others
+    return function_of(node).outside is not None
+
+
+def compile_outside(node: Node, fetch: Mapping[str, Closure]) -> Closure | None:
+    """Return a closure: does any function see arguments outside its domain? None: never."""
+    checks: list[tuple[Callable[..., Any], tuple[Closure, ...]]] = []
+    for part in walk(node):
+        if isinstance(part, Apply) and domain_limited(part):
+            outside = function_of(part).outside
+            assert outside is not None
+            checks.append((outside, tuple(compile_node(a, fetch) for a in part.arguments)))
+    if not checks:
+        return None
+
+    def anywhere(at: Any) -> Any:
+        result: Any = False
+        for outside, arguments in checks:
+            result = result | outside(*[argument(at) for argument in arguments])
+        return result
+    return anywhere
+
+
+def compile_expression(expression: Node | str | float,
+                       variables: Sequence[str]) -> Callable[[Sequence[Any]], np.ndarray]:
+    """
+    Return f(values) of an expression over the variables, elementwise over arrays.
+
+    values: one number or array a variable, in the order of the variables.
+    Raises BadInput for a text outside the language or a name that is no variable.
+    """
+    node = expression if isinstance(expression, (Number, Name, Apply)) else parse(expression)
+    check_names(node, variables)
+    node = fold(node)
+    run = compile_node(node, {name: _item(i) for i, name in enumerate(variables)})
+    return lambda values: np.asarray(run(values))
+
+
+def _item(index: int) -> Closure:
+    return lambda values: values[index]
+
+
+def gradient(node: Node, at: Mapping[str, float],
+             variables: Sequence[str]) -> tuple[float, np.ndarray]:
+    """
+    Return value and exact partial derivatives at a point; not finite at a kink.
+
+    at: a number for every name; the derivatives are by the variables, in their order.
+    """
+    if isinstance(node, Number):
+        return node.value, np.zeros(len(variables))
+    if isinstance(node, Name):
+        return float(at[node.id]), np.array([float(node.id == v) for v in variables])
+    parts = [gradient(a, at, variables) for a in node.arguments]
+    function = function_of(node)
+    values = [np.float64(value) for value, _ in parts]
+    total = np.zeros(len(variables))
+    with np.errstate(all='ignore'):
+        for slope, (_, inner) in zip(function.slopes, parts):
+            moved = inner != 0.0    # a slope that meets no change must not spoil the sum
+            if moved.any():
+                total[moved] += float(slope(*values)) * inner[moved]
+        return float(function.value(*values)), total

@@ -1,0 +1,1 @@
+"""The laboratory: demos and injected faults, played over real topics against a replacer."""

@@ -1,0 +1,247 @@
+"""The demo: system after system, what a person sees on the way, and the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import asdict, dataclass
+import json
+import math
+import os
+from pathlib import Path
+import sys
+import time
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer import design
+from vsensor_ros.lab.demo_failover import fail_over, Failed, Moment, Run
+from vsensor_ros.lab.demo_picture import draw
+from vsensor_ros.observers.virtual_sensor import Refusal
+from vsensor_ros.plant import load_plant
+from vsensor_ros.simulate.judge import judge, replaced
+from vsensor_ros.simulate.recording import NoRecording
+from vsensor_ros.simulate.scenario import load_scenario, Scenario
+
+
+@dataclass(frozen=True)
+class Row:
+    """One system's line of the summary; RMSEs in `unit`, None where nothing was measured."""
+
+    system: str
+    failed_sensor: str
+    order: int
+    latency_ms: float | None    # from the isolation message to the first replaced message
+    rmse: float | None          # of the replacement, against the truth at the same stamps
+    rmse_hold: float | None     # of the last reading before the fault, at the same stamps
+    unit: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """One system's outcome."""
+
+    row: Row
+    bar: float
+    bar_text: str
+    passed: bool
+
+
+def config_folder() -> Path:
+    """Return the folder of the systems: the repository's, else the installed one."""
+    roots = [Path(prefix) / 'share' / 'vsensor_ros'
+             for prefix in [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
+             if prefix]
+    for root in [Path(__file__).parents[2], *roots]:
+        if (root / 'config').is_dir():
+            return root / 'config'
+    raise BadInput('demo', 'config', 'is not found',
+                   'run in the repository or install the package')
+
+
+def show(folder: Path, output: Path, say: Callable[[str], None],
+         update: Callable[[str], None]) -> Result:
+    """
+    Run the system of a config folder; write its design, log and picture to `output`.
+
+    `say` gets lines that stay, `update` the one that changes. Raise BadInput or Failed.
+    """
+    system = folder.name
+    update('designing the virtual sensors')
+    plant = load_plant(folder / 'plant.yaml')
+    result = design(plant)
+    design_file = output / f'{system}.design.json'
+    result.save(design_file)
+    update('computing the truth')
+    scenario = load_scenario(folder / 'demo.yaml', plant)
+    failed = scenario.failed_sensor
+    virtual = result[(failed,), failed]
+    if isinstance(virtual, Refusal):
+        raise BadInput(folder / 'demo.yaml', 'failed_sensor', f'{failed} cannot be replaced: '
+                       f'{virtual.reason}', 'let another sensor fail')
+    say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + virtual.inputs)}, '
+        f'order {virtual.order}'
+        + (f', {scenario.speed:g} times real time' if scenario.speed != 1.0 else ''))
+
+    phase = ''
+
+    def progress(moment: Moment) -> None:
+        nonlocal phase
+        now = _phase(scenario, moment.time, moment.isolated)
+        if now != phase:
+            phase = now
+            say(f'  {moment.time:8.1f} s  {phase}')
+        update(_line(scenario, moment.time, moment.value, moment.isolated))
+
+    for last in (False, True):
+        update('starting the replacer and the machine')
+        run = fail_over(scenario, folder, design_file, output, progress)
+        verdict = judge(scenario, run.heard)
+        if verdict.passed or run.in_time or last:
+            break
+        say('  this computer was too busy to play the machine in time: once more')
+    for line in told_of(scenario, run):
+        say(f'  {line}')
+    update('drawing the picture')
+    draw(scenario, run.heard, run.deviation, verdict, output / f'{system}.png')
+    row = Row(system, failed, virtual.order, verdict.latency_ms, verdict.rmse, verdict.rmse_hold,
+              scenario.unit)
+    return Result(row, scenario.bar, scenario.bar_text, verdict.passed)
+
+
+def told_of(scenario: Scenario, run: Run) -> list[str]:
+    """Set what the replacer said of its switch and of its error against the truth."""
+    lines, unit, truth = [], scenario.unit, scenario.truth
+    if math.isfinite(run.step):
+        raw = scenario.channels[scenario.failed_sensor]
+        said = raw.sent & (raw.time <= scenario.isolated_at) & np.isfinite(raw.value)
+        off = abs(raw.value[said][-1] - np.interp(scenario.isolated_at, truth.time, truth.value))
+        lines.append(f'step at the switch {abs(run.step):.2g} {unit}; the sensor was {off:.2g} '
+                     f'{unit} off the truth by then')
+    new = replaced(scenario, run.heard)
+    if new.any() and len(run.deviation):
+        time, value = run.heard.time[new], run.heard.value[new]
+        error = np.abs(value - np.interp(time, truth.time, truth.value))
+        deviation = np.interp(time, *run.deviation.T)
+        within = f'{100.0 * np.mean(error <= 2.0 * deviation):.0f} %'
+        lines.append(f'standard deviation given: {np.median(deviation):.2g} {unit}; {within} '
+                     'of the estimates are within two of it')
+    return lines
+
+
+_WORDS = {'freeze': 'frozen', 'drop_out': 'silent', 'not_a_number': 'NaN', 'bias': 'biased',
+          'drift': 'drifting', 'spikes': 'spiking'}
+
+
+def _phase(scenario: Scenario, now: float, isolated: bool) -> str:
+    begun = [_WORDS[kind] for start, kind in scenario.marks if start <= now]
+    sensor = f'{scenario.failed_sensor} is {begun[-1] if begun else "alive"}'
+    if isolated:
+        return f'{sensor}, the replacer speaks for it'
+    return f'{sensor}, and nobody has noticed' if begun else f'{sensor}, its messages pass through'
+
+
+def _line(scenario: Scenario, now: float, value: float, isolated: bool) -> str:
+    done = (now - scenario.start) / (scenario.end - scenario.start)
+    at = min(int(20 * done), 19)
+    fault = min(int(20 * (scenario.isolated_at - scenario.start)
+                    / (scenario.end - scenario.start)), 19)
+    bar = ''.join('#' if i <= at and i >= fault else '=' if i <= at else '.' for i in range(20))
+    truth = np.interp(now, scenario.truth.time, scenario.truth.value)
+    return (f'{now:8.1f} s  [{bar}]  {scenario.failed_sensor} '
+            f'{"REPLACED" if isolated else "measured"} {value:9.4f}, truth {truth:9.4f} '
+            f'{scenario.unit}')
+
+
+def table(results: Sequence[Result]) -> str:
+    """Return the closing table as text."""
+    head = ['system', 'failed', 'order', 'isolation to', 'RMSE of', 'RMSE of last', 'allowed', '']
+    second = ['', 'sensor', '', 'replaced', 'replacement', 'value held', 'RMSE', '']
+    lines = [head, second]
+    for result in results:
+        row = result.row
+        lines.append([row.system, row.failed_sensor, str(row.order),
+                      _number(row.latency_ms, 'ms'), _number(row.rmse, row.unit),
+                      _number(row.rmse_hold, row.unit), _number(result.bar, row.unit),
+                      'ok' if result.passed else 'FAILED'])
+    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    texts = ['  '.join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip()
+             for line in lines]
+    rule = '-' * max(map(len, texts))
+    return '\n'.join([*texts[:2], rule, *texts[2:]])
+
+
+def _number(value: float | None, unit: str) -> str:
+    return 'none' if value is None else f'{value:.3g} {unit}'.rstrip()
+
+
+def write_summary(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows as a JSON list, whole or not at all; what is not finite becomes null."""
+    records = [{key: None if isinstance(value, float) and not math.isfinite(value) else value
+                for key, value in asdict(row).items()} for row in rows]
+    scratch = path.with_name(f'.{path.name}.{os.getpid()}')
+    scratch.write_text(json.dumps(records, indent=1) + '\n', encoding='utf-8')
+    scratch.replace(path)
+
+
+class _Screen:
+    """Lines that stay, and on a terminal a last one that changes."""
+
+    def __init__(self) -> None:
+        self.status = None
+        if sys.stdout.isatty():
+            with suppress(ImportError):
+                from rich.console import Console
+                self.status = Console(highlight=False, markup=False).status('')
+
+    def say(self, text: str) -> None:
+        if self.status:
+            self.status.console.print(text)
+        else:
+            print(text, flush=True)
+
+    def update(self, text: str) -> None:
+        if self.status:
+            self.status.update(text)
+
+
+def show_all(systems: Sequence[str], output: Path) -> int:
+    """
+    Show the systems named, or all; write summary.json; return the command's exit code.
+
+    Raise BadInput for a name that is no system and a folder that cannot be made.
+    """
+    began = time.monotonic()
+    config = config_folder()
+    known = sorted(path.parent.name for path in config.glob('*/demo.yaml'))
+    for name in systems:
+        if name not in known:
+            raise BadInput(config, name, 'is not a system with a demo.yaml',
+                           f'choose from {", ".join(known)}')
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise BadInput(output, '', problem.strerror or '', 'give another --output') from None
+
+    results: list[Result] = []
+    not_shown: list[str] = []
+    broken = False
+    screen = _Screen()
+    with screen.status or nullcontext():
+        for number, name in enumerate(systems or known, 1):
+            screen.say(f'[{number}/{len(systems or known)}] {name}')
+            try:
+                results.append(show(config / name, output, screen.say, screen.update))
+            except (BadInput, Failed) as problem:
+                not_shown.append(f'{name} is not shown: {problem}')
+                screen.say(f'  {not_shown[-1]}')
+                broken = broken or not isinstance(problem, NoRecording)
+    write_summary(output / 'summary.json', [result.row for result in results])
+    print('', *([table(results)] if results else []), *not_shown, sep='\n')
+    for result in results:
+        if not result.passed:
+            print(f'{result.row.system} FAILED: the RMSE allowed is {result.bar_text}')
+    print(f'Pictures and summary.json are in {output}/ ({time.monotonic() - began:.0f} s).')
+    return int(broken or not results or not all(result.passed for result in results))
+

@@ -1,0 +1,245 @@
+"""What a case acts on: faults, isolation, time, and what is expected to be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+import math
+import time
+from typing import Any
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from vsensor_ros.lab.injection.process import Process
+from vsensor_ros.lab.injection.rig import Exhausted, Rig
+from vsensor_ros.lab.injection.setup import Setup
+from vsensor_ros.lab.injection.verdict import Heard, judge, path_of, Told
+from vsensor_ros.simulate.fault import FAULTS
+
+REACTION = 0.15     # s from an isolation message on, in which the failed sensor may still be heard
+STATUS_PERIOD = 1.0 # s between two messages on ~/status when nothing changes
+SOON = 3.0          # s that anything may take that should happen at once; this computer is busy
+CONVERGED = 60.0    # s in which a virtual sensor must have begun to serve
+STARTED = 30.0      # s in which a process must have been discovered
+UNTIMED = 0.06      # s by which the time of a message without a stamp may be wrong
+STEP_PART = 0.02    # of the range that a switch may step by when the sensor was healthy
+
+
+class Skipped(Exception):
+    """A case that cannot be tried here; str() is why."""
+
+
+class GaveUp(Exception):
+    """A case that cannot go on; what was wrong is noted."""
+
+
+@dataclass
+class Stage:
+    """One replacer with the machine, in one case after the other."""
+
+    setup: Setup
+    rig: Rig
+    services: Node              # of the same context, with an executor of its own
+    process: Process | None     # None: it already ran, and is not ours
+    start: Callable[..., Process]   # another one
+    fresh: bool = False         # its virtual sensors are known to be converged
+
+    def __post_init__(self) -> None:
+        self._executor = SingleThreadedExecutor(context=self.services.context)
+        self._executor.add_node(self.services)
+        self._since: dict[str, float] = {}  # by sensor: when its fault began that nobody knows of
+        self._switches: dict[str, int] = {}
+        self._counted = False
+        self.wrong: list[str] = []
+        self.seen: list[str] = []
+
+    @property
+    def target(self) -> str:
+        """Return the sensor that fails."""
+        return self.setup.target
+
+    def begin(self) -> None:
+        """Begin a case: what was heard before is forgotten."""
+        now = time.monotonic()
+        self.rig.heard = Heard(now, spoken=self.rig.heard.spoken)
+        if self.rig.latest:
+            self.rig.heard.told.append(Told(now, self.rig.latest))
+        self.rig.late = 0.0
+        self.wrong, self.seen, self._since, self._counted = [], [], {}, False
+        self._switches = {name: self.switches(name) for name in self.rig.world.truth}
+
+    def finish(self) -> list[str]:
+        """End a case: judge all that was heard; return what was wrong."""
+        if not self._counted:   # so that the next case begins with the right counts
+            with suppress(Exhausted):
+                self.play(STATUS_PERIOD + 0.1)
+        heard = self.rig.heard
+        heard.ended = time.monotonic()
+        for name in list(self._since):
+            self._known(name, heard.ended)
+        if self.process is not None and not self.process.alive:
+            self.wrong.append(f'the replacer has died: {self.process.last_words()}')
+        return self.wrong + judge(heard, self.rig.world, self.rig.frames(), UNTIMED,
+                                  self.setup.without_estimate in ('hold', 'pass'))
+
+    # ----------------------------------------------------------------------- the machine
+
+    def play(self, seconds: float) -> None:
+        """Let time pass."""
+        self.rig.play(seconds)
+
+    def fault(self, kind: str, name: str = '', /, **size: float) -> None:
+        """Let a sensor, by default the target, fail from now on."""
+        name = name or self.target
+        self.undetected(name)
+        if kind != 'drop_out':  # what is estimated from wrong readings is wrong, too
+            for other in self.rig.faulty - {name}:
+                self._since.setdefault(other, time.monotonic())
+        self.rig.channels[name] = FAULTS[kind](self.rig.world.said[name], self.rig.now, **size)
+
+    def undetected(self, name: str) -> None:
+        """Note that from now on what is heard of a sensor may be wrong, if it is not isolated."""
+        if name not in self.rig.faulty:
+            self._since.setdefault(name, time.monotonic())
+
+    def heal(self) -> None:
+        """Let all sensors measure again."""
+        self.rig.channels = dict(self.rig.world.said)
+        for driver in self.rig.drivers:
+            driver.garble = None
+            if driver.publisher is None:
+                driver.open(self.rig.node)
+        self.detected()
+
+    def detected(self) -> None:
+        """Note that what is heard of all sensors is right again, or they are isolated."""
+        for name in list(self._since):
+            self._known(name, time.monotonic() + REACTION)
+
+    def _known(self, name: str, until: float) -> None:
+        self.rig.heard.blind.setdefault(name, []).append((self._since.pop(name), until))
+
+    # ---------------------------------------------------------------------- the isolator
+
+    def isolate(self, *names: str) -> None:
+        """Say which sensors are faulty; those named no more are healthy."""
+        if self._since.keys() <= set(names):
+            self.detected()
+        self.rig.isolate(names)
+
+    def believe(self, *names: str, others: tuple[str, ...] = ()) -> None:
+        """Say that sensors are healthy again, and wait until they are believed."""
+        self.isolate(*others)
+        dwell = max(self.setup.policies[name].dwell for name in names)
+        latched = [n for n in names if self.setup.policies[n].recovery == 'latched']
+        for name in names:
+            if self.setup.policies[name].recovery == 'hold':
+                self.play(dwell + 0.1)
+                self.call(f'{name}/clear')
+        if latched:
+            self.play(dwell + 0.1)
+            self.call('reset')
+            self.fresh = False
+        for name in names:
+            self.expect(name, 'real', dwell + SOON)
+
+    def call(self, service: str) -> bool:
+        """Call a Trigger service of the replacer while the machine runs; tell whether it did."""
+        client = self.services.create_client(Trigger, f'replacer/{service}')
+        future: Any = None
+        end = time.monotonic() + SOON
+        try:
+            while time.monotonic() < end and not (future and future.done()):
+                if future is None and client.service_is_ready():
+                    future = client.call_async(Trigger.Request())
+                self._executor.spin_once(timeout_sec=0.0)
+                self.play(0.02)
+            return bool(future and future.done() and future.result().success)
+        finally:
+            self.services.destroy_client(client)
+
+    # -------------------------------------------------------------------- what is expected
+
+    def source(self, name: str) -> str:
+        """Return who serves a channel, as ~/status said last; '' before it said anything."""
+        return self.rig.latest.get(name, {}).get('source', '')
+
+    def switches(self, name: str) -> int:
+        """Return how often a channel has switched, as ~/status said last."""
+        text = self.rig.latest.get(name, {}).get('switches', '0')
+        return int(text) if text.isdigit() else 0
+
+    def until(self, condition: Callable[[], bool], within: float, what: str) -> bool:
+        """Play until something is so; note if it is not in time."""
+        end = time.monotonic() + within
+        while not condition():
+            if time.monotonic() > end:
+                self.wrong.append(f'{what} not within {within:g} s')
+                return False
+            if self.process is not None and not self.process.alive:
+                raise GaveUp
+            try:
+                self.play(0.02)
+            except Exhausted:
+                self.wrong.append(f'{what} not yet')
+                raise
+        return True
+
+    def expect(self, name: str, source: str, within: float = SOON) -> bool:
+        """Play until a channel has a source; note if it has not in time."""
+        sources = ('real', 'silent') if source == 'real' else (source,)
+        return self.until(lambda: self.source(name) in sources, within,
+                          f'{name} {source}, but {self.source(name) or "no status"}:')
+
+    def told(self, *words: str, within: float) -> None:
+        """Play until /diagnostics says one of these words somewhere."""
+        self.until(lambda: any(word in message for message in self.rig.said.values()
+                               for word in words), within,
+                   f'{" or ".join(repr(w) for w in words)} on /diagnostics')
+
+    def expect_path(self, name: str, *sources: str) -> None:
+        """Note if a channel did not have exactly these sources one after the other."""
+        def count() -> int:
+            return self.switches(name) - self._switches.get(name, 0)
+
+        self.play(0.15)     # the last status
+        end = time.monotonic() + STATUS_PERIOD + 0.3    # it may be counted a message later
+        while count() != len(sources) - 1 and time.monotonic() < end:
+            self.play(0.02)
+        self._counted = True
+        path = path_of(self.rig.heard.told, name)
+        if path != list(sources) or count() != len(sources) - 1:
+            self.wrong.append(f'{name} went {" > ".join(path) or "nowhere"} in {count()} '
+                              f'switches, not {" > ".join(sources)} in {len(sources) - 1}')
+        self.seen.append(' > '.join(path))
+
+    def forget_path(self) -> None:
+        """Judge paths from here on: what was told before was not the replacer's alone."""
+        self.rig.heard.told[:] = [Told(time.monotonic(), self.rig.latest)]
+        self._switches = {name: self.switches(name) for name in self.rig.world.truth}
+
+    def expect_no_step(self, name: str) -> None:
+        """Note if the last switch of a healthy channel stepped by more than noise."""
+        text = self.rig.latest.get(name, {}).get('last_step', 'nan')
+        world = self.rig.world
+        step, limit = float(text), STEP_PART * world.span[name] + 6.0 * world.noise[name]
+        outs = [o for o in self.rig.heard.outs
+                if isinstance(v := o.values.get(name), float) and math.isfinite(v)]
+        jumps = [abs((b.values[name] - world.at(name, b.time))
+                     - (a.values[name] - world.at(name, a.time)))
+                 for a, b in zip(outs, outs[1:]) if a.stamp is not None]
+        largest = max([abs(step), *jumps])
+        self.seen.append(f'step {largest:.2g}')
+        if not largest <= limit:
+            self.wrong.append(f'{name} steps by {largest:.3g}, {limit:.2g} allowed')
+
+    @contextmanager
+    def excused(self, stamps: bool = False) -> Iterator[None]:
+        """Let nothing go out meanwhile, or with `stamps` let them not increase."""
+        begun = time.monotonic()
+        yield
+        spans = self.rig.heard.loose if stamps else self.rig.heard.quiet
+        spans.append((begun, time.monotonic() + REACTION))

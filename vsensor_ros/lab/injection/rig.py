@@ -1,0 +1,270 @@
+"""The machine beside the replacer, played in real time, and everything that comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import numpy as np
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
+
+from vsensor_ros.lab.injection.truth import World
+from vsensor_ros.lab.injection.verdict import Heard, Out, Stated, Told
+from vsensor_ros.lab.wiring import blank, Port, Wiring
+from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
+from vsensor_ros.simulate.fault import Channel
+
+POLL = 0.001            # s between two looks at the topics
+CLOCK_STEP = 0.005      # s between two messages on /clock
+REPEAT = 0.5            # s between two messages of the isolator
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LISTEN = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+NAME_FIELDS = ('name', 'joint_names')
+
+Garble = Callable[[Any], Sequence[Any]]  # a driver's message to those that it sends instead
+
+
+class Exhausted(RuntimeError):
+    """The truth that was computed is over."""
+
+
+class Driver:
+    """One topic of the machine and the channels that travel on it."""
+
+    def __init__(self, node: Node, ports: Sequence[Port]) -> None:
+        self.ports, self.topic, self.kind = ports, ports[0].source, ports[0].kind
+        self.stamped = has_stamp(self.kind)
+        self.message = blank(list(ports))
+        self.frame = self.topic.strip('/') if self.stamped else ''
+        if self.stamped:
+            self.message.header.frame_id = self.frame
+        self.names = names_in(self.message)
+        self.garble: Garble | None = None
+        self.publisher: Publisher | None = None
+        self.open(node)
+
+    def open(self, node: Node) -> None:
+        """Begin to publish."""
+        self.publisher = node.create_publisher(self.kind, self.topic, QoSProfile(depth=1000))
+
+    def close(self, node: Node) -> None:
+        """Die; what is to be published is lost."""
+        if self.publisher is not None:
+            node.destroy_publisher(self.publisher)
+            self.publisher = None
+
+    def send(self, values: Sequence[float], stamp: int) -> None:
+        """Publish a value for each port, NaN where it has none."""
+        message = blank(list(self.ports)) if self.garble else self.message
+        for port, value in zip(self.ports, values):
+            port.field.put(message, value)
+        if self.stamped:
+            message.header.frame_id = self.frame
+            put_stamp(message, stamp)
+        for sent in self.garble(message) if self.garble else (message,):
+            if self.publisher is not None:
+                self.publisher.publish(sent)
+
+
+class Rig:
+    """
+    The machine, its isolator and the listener; all in one thread, in `play`.
+
+    `channels` is what every channel says: faults are put there. `shift` [ns] is added to the
+    stamps and to /clock; with `simulated`, time passes there only while `paused` is not set.
+    """
+
+    def __init__(self, node: Node, wiring: Wiring, world: World, replacer: str,
+                 simulated: bool = False) -> None:
+        self.node, self.wiring, self.world = node, wiring, world
+        self.channels: dict[str, Channel] = dict(world.said)
+        self.heard = Heard(time.monotonic())
+        self.faulty: frozenset[str] = frozenset()   # what isolation says
+        self.shift, self._shift_before, self.paused = 0, 0, False
+        self.late = 0.0     # s, the worst since it was last set to 0
+        self.now = 0.0      # s, the world's time
+        self._played: dict[str, int] = dict.fromkeys(world.said, 0)     # rows, by channel
+        self._wall = time.monotonic()
+        self.origin = time.time_ns()    # ns, the stamp of time 0
+        self._repeated = self._clocked = 0.0
+        by_source: dict[str, list[Port]] = {}
+        for name in world.said:
+            by_source.setdefault(wiring.ports[name].source, []).append(wiring.ports[name])
+        self.drivers = [Driver(node, ports) for ports in by_source.values()]
+        self.isolator: Publisher | None = None
+        self.open_isolator()
+        self.clock = node.create_publisher(Clock, '/clock', 10) if simulated else None
+        self.outputs: dict[str, tuple[Subscription, list[Port]]] = {}
+        for name in world.truth:
+            port = wiring.ports[name]
+            if port.output not in self.outputs:
+                self.outputs[port.output] = (node.create_subscription(
+                    port.kind, port.output, _ignore, LISTEN), [])
+            self.outputs[port.output][1].append(port)
+        self._status = node.create_subscription(
+            DiagnosticArray, f'{replacer}/status', _ignore, KEPT)
+        self._estimates = node.create_subscription(
+            DiagnosticArray, f'{replacer}/estimates', _ignore, LISTEN)
+        self._diagnostics = node.create_subscription(DiagnosticArray, '/diagnostics', _ignore, 10)
+        self.latest: dict[str, dict[str, str]] = {}     # by channel: what ~/status said last
+        self.said: dict[str, str] = {}                  # by name: what /diagnostics said last
+        self.statuses = 0   # messages on ~/status
+        self.report()       # a replacer that starts waits for what isolation said before
+
+    # ---------------------------------------------------------------------------- the machine
+
+    def driver_of(self, sensor: str) -> Driver:
+        """Return who publishes a sensor."""
+        return next(d for d in self.drivers if any(p.name == sensor for p in d.ports))
+
+    def frames(self) -> dict[str, tuple[str, tuple[str, ...]]]:
+        """Return frame_id and names of each output topic, as its driver gives them."""
+        return {ports[0].output: (d.frame, d.names) for _, ports in self.outputs.values()
+                for d in [self.driver_of(ports[0].name)]}
+
+    def play(self, seconds: float) -> None:
+        """Let time pass; raises Exhausted."""
+        end = time.monotonic() + seconds
+        while True:
+            self._step()
+            self.listen()
+            if (left := end - time.monotonic()) <= 0.0:
+                return
+            time.sleep(min(POLL, left))
+
+    def _step(self) -> None:
+        wall = time.monotonic()
+        passed, self._wall = wall - self._wall, wall
+        if not self.paused:
+            self.now += passed
+        if self.now > self.world.end:
+            raise Exhausted('the machine has run for longer than its truth was computed')
+        if self.clock and wall - self._clocked >= CLOCK_STEP:
+            self._clocked = wall
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(self.stamp(self.now), 10**9)
+            self.clock.publish(message)
+        for driver in self.drivers:
+            self._advance(driver)
+        if wall - self._repeated >= REPEAT and self.faulty:
+            self.report()
+
+    def _advance(self, driver: Driver) -> None:
+        """Send every reading that is due; the sensors of one topic share their rows."""
+        first = driver.ports[0].name
+        times = self.channels[first].time
+        row = self._played[first]
+        while row < len(times) and times[row] <= self.now:
+            self.late = max(self.late, self.now - times[row])
+            sent = [self.channels[p.name].sent[row] for p in driver.ports]
+            if any(sent):
+                driver.send([float(self.channels[p.name].value[row]) if s else np.nan
+                             for p, s in zip(driver.ports, sent)], self.stamp(times[row]))
+            row += 1
+        self._played[first] = row
+
+    def stamp(self, at: float) -> int:
+        """Return the stamp [ns] of a time of the world's."""
+        return self.origin + self.shift + round(at * 1e9)
+
+    def jump(self, seconds: float) -> None:
+        """Set the clock of stamps and of /clock ahead, or back."""
+        self._shift_before, self.shift = self.shift, self.shift + round(seconds * 1e9)
+
+    # --------------------------------------------------------------------------- the isolator
+
+    def open_isolator(self) -> None:
+        """Begin to isolate; what it said last is kept for who comes later."""
+        self.isolator = self.node.create_publisher(
+            self.wiring.isolation_kind, self.wiring.isolation, KEPT)
+
+    def close_isolator(self) -> None:
+        """Die."""
+        if self.isolator is not None:
+            self.node.destroy_publisher(self.isolator)
+            self.isolator = None
+
+    def isolate(self, names: Sequence[str]) -> None:
+        """Say that these sensors are faulty and all others healthy, now and while any is."""
+        self.faulty = frozenset(names)
+        self.report()
+
+    def report(self) -> None:
+        """Say again which sensors are faulty."""
+        self._repeated = time.monotonic()
+        if self.isolator is None:
+            return
+        if isinstance(message := self.isolator.msg_type(), DiagnosticArray):
+            message.header.stamp = self.node.get_clock().now().to_msg()
+            message.status = [DiagnosticStatus(
+                name=name, message='said by fault_injection', level=DiagnosticStatus.ERROR
+                if name in self.faulty else DiagnosticStatus.OK) for name in self.world.truth]
+        else:
+            message.data = ' '.join(sorted(self.faulty))
+        self.isolator.publish(message)
+
+    # --------------------------------------------------------------------------- the listener
+
+    def listen(self) -> None:
+        """Take everything that has come."""
+        for topic, (subscription, ports) in self.outputs.items():
+            for raw in _take(subscription, True):
+                self._note(topic, ports, raw)
+        for message in _take(self._estimates):
+            self._note_estimates(message)
+        for message in _take(self._status):
+            facts = {s.name: {v.key: v.value for v in s.values} for s in message.status}
+            self.statuses += 1
+            if any(name in facts for name in self.world.truth):     # else it is being shut down
+                self.latest = facts
+                self.heard.told.append(Told(time.monotonic(), facts))
+                self.heard.spoken.update(self.wiring.ports[name].output for name in facts if (
+                    facts[name].get('source') == 'virtual'))
+        for message in _take(self._diagnostics):
+            self.said.update({s.name: s.message for s in message.status})
+
+    def _note_estimates(self, message: DiagnosticArray) -> None:
+        arrival = time.monotonic()
+        for status in message.status:
+            for value in status.values:
+                if value.key == 'deviation':
+                    self.heard.stated.setdefault(status.name, []).append(
+                        Stated(arrival, get_stamp(message), float(value.value)))
+
+    def _note(self, topic: str, ports: Sequence[Port], raw: bytes) -> None:
+        arrival = time.monotonic()
+        try:
+            message = deserialize_message(raw, ports[0].kind)
+        except Exception:   # the middleware's own kinds
+            self.heard.unreadable += 1
+            return
+        stamp, at, frame = None, self.now, ''
+        if has_stamp(ports[0].kind):
+            stamp, frame = get_stamp(message), message.header.frame_id
+            at = min(((stamp - self.origin - shift) * 1e-9 for shift in (
+                self.shift, self._shift_before)), key=lambda time: abs(time - self.now))
+        self.heard.outs.append(Out(topic, arrival, stamp, at, {
+            p.name: p.field.get(message) for p in ports}, frame, names_in(message)))
+
+
+def names_in(message: Any) -> tuple[str, ...]:
+    """Return the names of the elements of a message, () when its type has none."""
+    return next((tuple(getattr(message, f)) for f in NAME_FIELDS
+                 if isinstance(getattr(message, f, None), list)), ())
+
+
+def _ignore(message: Any) -> None:
+    """No executor runs here; messages are taken by hand."""
+
+
+def _take(subscription: Subscription, raw: bool = False) -> Iterator[Any]:
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, raw)):
+            yield taken[0]

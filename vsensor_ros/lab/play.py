@@ -1,0 +1,88 @@
+"""What the player does on the graph: a table of readings and commands as ROS messages."""
+
+from __future__ import annotations
+
+import time
+
+from builtin_interfaces.msg import Time
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+
+from vsensor_ros.lab.wiring import blank, Port
+from vsensor_ros.node.accessor import has_stamp
+from vsensor_ros.simulate.fault import Channel
+
+CLOCK_STEP = 0.005      # s on the wall between two messages on /clock
+START_TOPIC = '/player/start'
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def to_stamp(nanoseconds: int) -> Time:
+    """Return a time as ROS writes it."""
+    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+class _Topic:
+    """One topic and the channels that travel on it."""
+
+    def __init__(self, node: Node, ports: list[Port], channels: dict[str, Channel]) -> None:
+        self.ports = ports
+        self.channels = [channels[port.name] for port in ports]
+        self.message = blank(ports)
+        if has_stamp(ports[0].kind):
+            self.message.header.frame_id = ports[0].source.strip('/')
+        self.publisher = node.create_publisher(ports[0].kind, ports[0].source, 100)
+        # a message goes out when any of its channels speaks; the silent ones are NaN in it
+        self.due = np.any([channel.sent for channel in self.channels], axis=0)
+
+    def publish(self, row: int, stamp: int) -> None:
+        for port, channel in zip(self.ports, self.channels):
+            port.field.put(self.message, channel.value[row] if channel.sent[row] else np.nan)
+        if hasattr(self.message, 'header'):
+            self.message.header.stamp = to_stamp(stamp)
+        self.publisher.publish(self.message)
+
+
+def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed: float) -> float:
+    """
+    Publish every row at its time, once every topic has a listener; return the worst delay [s].
+
+    Stamps are the wall clock's time of the start, said on START_TOPIC, plus the time in the
+    table. With a `speed` other than 1 the time on /clock runs that much faster than the wall's.
+    """
+    by_topic: dict[str, list[Port]] = {}
+    for name in channels:
+        by_topic.setdefault(ports[name].source, []).append(ports[name])
+    topics = [_Topic(node, group, channels) for group in by_topic.values()]
+    start_topic = node.create_publisher(Time, START_TOPIC, LATCHED)
+    clock = node.create_publisher(Clock, '/clock', 10) if speed != 1.0 else None
+    complained = time.monotonic() + 10.0
+    while deaf := [t for t in topics if not t.publisher.get_subscription_count()]:
+        if time.monotonic() > complained:
+            node.get_logger().warning(f'nobody listens to {deaf[0].ports[0].source} yet')
+            complained += 10.0
+        time.sleep(0.01)
+
+    times = next(iter(channels.values())).time
+    node.get_logger().info(f'playing {times[-1] - times[0]:g} s, {speed:g} times real time')
+    wall, origin = time.monotonic(), time.time_ns()
+    start_topic.publish(to_stamp(origin))
+    late = 0.0
+    for row, elapsed in enumerate(times - times[0]):
+        due = wall + elapsed / speed
+        while (left := due - time.monotonic()) > 0.0:
+            time.sleep(min(left, CLOCK_STEP))
+            if clock:
+                passed = min(time.monotonic() - wall, elapsed / speed) * speed
+                clock.publish(Clock(clock=to_stamp(origin + int(passed * 1e9))))
+        late = max(late, -left)
+        stamp = origin + round(elapsed * 1e9)
+        if clock:
+            clock.publish(Clock(clock=to_stamp(stamp)))
+        for topic in topics:
+            if topic.due[row]:
+                topic.publish(row, stamp)
+    time.sleep(0.2)     # let the last messages leave
+    return late

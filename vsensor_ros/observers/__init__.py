@@ -1,0 +1,1 @@
+"""The bridge between desk and machine: virtual sensors, and the file that holds them."""

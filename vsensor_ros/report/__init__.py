@@ -1,0 +1,1 @@
+"""What a design says to people: on the terminal and on a page."""

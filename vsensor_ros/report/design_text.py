@@ -1,0 +1,248 @@
+"""What a design says, in words that the terminal and the report share. Plain text, not escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from vsensor_ros.designer.location import Location
+from vsensor_ros.designer.stabilise import decay_of
+from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal, Rung, VirtualSensor
+
+SHOWN = 6  # eigenvalues, of many
+LISTED = 12  # fault sets, of many
+COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
+VERDICTS = ('yes', 'bounded', 'no')
+
+
+def number(value: float, unit: str = '') -> str:
+    """Return a figure of three digits with its unit."""
+    return f'{value:.3g} {unit}'.rstrip()
+
+
+def joined(fault_set: Iterable[str]) -> str:
+    """Return a fault set as one word: 'y1+y2'."""
+    return '+'.join(fault_set) or 'nothing'
+
+
+def verdict(design: Design, fault_set: tuple[str, ...]) -> str:
+    """
+    Say whether a set can be lost: 'yes', 'bounded' or 'no'.
+
+    Every sensor of it must be replaceable; 'bounded': unknown inputs disturb one.
+    """
+    entries = [e for (s, channel), e in design.entries.items() if s == fault_set]
+    if any(isinstance(e, Refusal) for e in entries):
+        return 'no'
+    return 'bounded' if any(e.grade == 'bounded' for e in entries
+                            if isinstance(e, VirtualSensor)) else 'yes'
+
+
+def losses(design: Design) -> dict[int, dict[tuple[str, ...], str]]:
+    """Return by size the verdict on every set of sensors that was designed for."""
+    found: dict[int, dict[tuple[str, ...], str]] = {}
+    for fault_set in design.fault_sets:
+        if fault_set:
+            found.setdefault(len(fault_set), {})[fault_set] = verdict(design, fault_set)
+    return dict(sorted(found.items()))
+
+
+def loss_lines(design: Design) -> list[tuple[str, list[str]]]:
+    """Return for each size ('one', ..) the sentences on which sets can be lost."""
+    lines = []
+    lost: list[tuple[str, ...]] = []  # sets that cannot be lost and hold no smaller such set
+    for size, sets in losses(design).items():
+        by = {v: [s for s, said in sets.items() if said == v] for v in VERDICTS}
+        news = [s for s in by['no'] if not any(set(fewer) < set(s) for fewer in lost)]
+        able = [s for s in sets if s not in set(by['no'])]
+        if not able:
+            said = ['none' if len(sets) == 1 else f'none of {len(sets)}']
+        elif not by['no']:
+            said = [f'all {len(sets)}' + (f': {_list(able)}' if len(able) <= LISTED or size == 1
+                                          else '')]
+        elif size == 1 or len(able) <= LISTED:
+            said = [f'{len(able)} of {len(sets)}: {_list(able, size == 1)}']
+        else:
+            said = [f'{len(able)} of {len(sets)}']
+        if by['no'] and size == 1:
+            said.append(f'not {_list(by["no"], True)}')
+        elif by['no'] and able and len(able) > LISTED:
+            holds = [s for s in lost if any(set(s) < set(other) for other in by['no'])]
+            parts = ([f'none that holds {_list(holds)}'] if holds else []) + (
+                [f'not {_list(news)}'] if news else [])
+            said.append('; '.join(parts))
+        if by['bounded']:
+            said.append(f'of these disturbed by unknown inputs, within a bound: '
+                        f'{_list(by["bounded"], size == 1)}')
+        lines.append((COUNTS.get(size, str(size)), said))
+        lost += news
+    return lines
+
+
+def _list(sets: Sequence[tuple[str, ...]], whole: bool = False) -> str:
+    shown = sets if whole else sets[:LISTED]
+    more = f' and {len(sets) - len(shown)} more' if len(shown) < len(sets) else ''
+    return ', '.join(map(joined, shown)) + more
+
+
+def title(design: Design, fault_set: tuple[str, ...], channel: str) -> str:
+    """Name a virtual sensor: its channel, the unit, and what has failed besides."""
+    unit = design.units.get(channel)
+    text = f'{channel} [{unit}]' if unit else channel
+    if not fault_set:
+        return text
+    if channel not in fault_set:
+        return f'{text} when {" and ".join(fault_set)} failed'
+    if any(len(s) > 1 for s in design.fault_sets):
+        text += (f' when {" and ".join(fault_set)} failed' if len(fault_set) > 1
+                 else ' when it alone failed')
+    return text
+
+
+def state_of(entry: VirtualSensor | Refusal) -> str:
+    """Say in three words what became of a channel."""
+    done = 'replaced' if entry.channel in entry.fault_set else 'computed'
+    if isinstance(entry, Refusal):
+        return f'cannot be {done}'
+    return f'can be {done}' + ('' if entry.grade == 'exact'
+                               else ' within a bound, disturbed by unknown inputs')
+
+
+def order(entry: VirtualSensor) -> str:
+    """Say the order and what is proved of it."""
+    proof = entry.proof
+    if proof is None:
+        return f'{entry.order} (nothing proved of the least)'
+    least = (f'the least is {proof.upper}, proved' if proof.least
+             else f'the least is between {proof.lower} and {proof.upper}')
+    if proof.least and entry.order == proof.upper:
+        return f'{entry.order} (proved least)'
+    if entry.order > proof.upper:
+        least += '; this one is quieter or faster'
+    return f'{entry.order} ({least})'
+
+
+def noise(entry: VirtualSensor, unit: str) -> str:
+    """Say the noise error, and how it stands to the floor."""
+    if entry.noise is None:
+        return 'not computed'
+    n = entry.noise
+    text = number(n.error, unit)
+    if not np.isfinite(n.floor):
+        text += '; no Kalman filter on these sensors to compare with'
+    elif n.floor == 0.0:
+        text += '; no noise at all reaches a Kalman filter on the same sensors'
+    else:
+        text += f', {n.ratio:.2f} x the floor of {number(n.floor, unit)}'
+    return text + ('; assumed noise' if n.assumed else '')
+
+
+def decay(entry: VirtualSensor) -> str:
+    """Say how fast an error dies out, judged by the eigenvalues."""
+    if not entry.order:
+        return 'at once: it has no state'
+    rate = decay_of(entry.eigenvalues, entry.sample_time)
+    return f'{number(rate, "1/s")} (an error is down to 5 % in {number(3.0 / rate, "s")})'
+
+
+def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
+    """Return the eigenvalues of N, the slowest first, pairs as one, of many the first few."""
+    slow = (np.real if entry.sample_time is None else np.abs)(entry.eigenvalues)
+    upper = [complex(entry.eigenvalues[i]) for i in np.argsort(-slow, kind='stable')]
+    texts = []
+    for value in upper:
+        if np.isclose(value.imag, 0.0):
+            texts.append(f'{value.real:.4g}')
+        elif value.imag > 0:
+            texts.append(f'{value.real:.4g} +- {value.imag:.4g}i')
+    if len(texts) > shown:
+        texts[shown - 1:] = [f'.. {len(texts) - shown} more ..', texts[-1]]
+    return ', '.join(texts) or 'none'
+
+
+def reads(entry: VirtualSensor) -> str:
+    """Name the sensors and commands it needs."""
+    return ', '.join([*entry.reads, *entry.commands]) or 'nothing: it is a constant'
+
+
+def certificate(entry: VirtualSensor) -> list[str]:
+    """Say in sentences how far its stability is proved."""
+    c = entry.certificate
+    if c is None:
+        terms = ', '.join(entry.terms[i].name for i in entry.active)
+        if not terms:
+            return ['stable everywhere: its error is linear, and the eigenvalues decide']
+        return [f'not certified: judged by the linear part alone, without {terms}']
+    if not entry.order:
+        said = ['certified everywhere: it is made of readings alone' + _bound(c)]
+    elif c.status == 'none':
+        said = [f'NOT CERTIFIED: {c.reason}']
+    else:
+        region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
+                           for of, low, high in c.region)
+        where = ('everywhere' if c.status == 'global' else 'only in a region'
+                 if all(of in c.reason for of, _, _ in c.region) else f'only while {region}')
+        said = [f'certified {where}: {c.reason}',
+                f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
+    if c.lipschitz is not None and entry.order:
+        left, right = c.lipschitz
+        said.append(f"the papers' Lipschitz condition {'holds' if left < right else 'fails'}: "
+                    f'{number(left)} {"<" if left < right else "is not below"} {number(right)}')
+    return said
+
+
+def _bound(c: Certificate) -> str:
+    if not np.isfinite(c.bound):
+        return '; no bound is proved on what wrong readings do'
+    return f'; readings wrong by 1 put it out by at most {number(c.bound)}'
+
+
+def certified(entry: VirtualSensor) -> str:
+    """Return the certificate in a word, for a table."""
+    if entry.certificate is None:
+        return 'not certified' if entry.active else 'linear: everywhere'
+    return {'global': 'everywhere', 'region': 'in a region'}.get(
+        entry.certificate.status, 'NOT certified')
+
+
+def disturbance(entry: VirtualSensor, unit: str) -> str:
+    """Say what unknown inputs do to the estimate."""
+    if entry.grade == 'exact':
+        return 'do not reach it'
+    near = ' (near the operating point)' if entry.active else ''
+    return (f'reach it: one of size 1, at the worst frequency, puts it out by at most '
+            f'{number(entry.disturbance_gain, unit)}{near}')
+
+
+def rungs(entry: VirtualSensor) -> list[tuple[Rung, bool]]:
+    """Return the ladder, each rung with whether it is the one taken."""
+    return [(rung, rung.order == entry.order) for rung in entry.ladder]
+
+
+def doubts(entry: VirtualSensor | Refusal) -> tuple[str, ...]:
+    """Return the decisions that were ambiguous."""
+    if isinstance(entry, Refusal):
+        return entry.doubts
+    return entry.proof.doubts if entry.proof is not None else ()
+
+
+def gained(location: Location) -> str:
+    """Say what one more sensor would be good for; what follows from fewer faults is left out."""
+    if not location.gained:
+        return 'would let you lose nothing more'
+    by: dict[tuple[str, ...], list[str]] = {}
+    for fault_set, channel in location.gained:
+        if not any(of == channel and set(fewer) < set(fault_set)
+                   for fewer, of in location.gained):
+            by.setdefault(fault_set, []).append(channel)
+    whole = [s for s, channels in by.items() if len(channels) == len(s)]
+    parts = [f'{", ".join(by[s])} when {joined(s)} failed' for s in by if s not in whole]
+    more = f' and {len(parts) - LISTED} more' if len(parts) > LISTED else ''
+    said = [f'lose {_list(whole)}'] if whole else []
+    if parts:
+        said.append(f'replace {", ".join(parts[:LISTED])}{more}')
+    shown = sum(map(len, by.values()))
+    rest = len(location.gained) - shown
+    return f'would let you {" and ".join(said)}' + (
+        f' ({rest} more in larger sets)' if rest else '')
