@@ -29,6 +29,61 @@ SENTENCES = {
     'input silent': '{name} silent for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
+    'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
+    # of faulty sensors: why they are not believed
+    'silent': 'silent',
+    'recovering': 'healthy again, believed after {dwell:g} s without a fault',
+    'held': 'healthy again, held until cleared',
+    'latched': 'latched until reset',
+    'forced': 'forced',
+    'named': '{name} ({why})',
+    # of channels: why they are served as they are
+    'no design': 'no design for the faulty sensors {failed}',
+    'ready again': 'ready again for {seconds:.1f} s, serves after {dwell:.1f} s',
+    'ready just now': 'was not ready until just now',
+    'next best': '{exact}; that for {fault_set}: {next}',
+    'served by a superset': '{why}; {exact}',
+    'force waits': 'force waits: {why}',
+    'force waits for another': 'force waits: {harmed}: {why}',
+    'force ended': 'force ended: {why}',
+    'force ended for another': 'force ended: {harmed}: {why}',
+    'instead': '{why}; {instead}',
+    'both': '{first}; {second}',
+    # what goes out for a channel that nobody serves
+    'stop': 'nothing goes out',
+    'hold': 'the last value goes out',
+    'nan': 'NaN goes out',
+    'pass': 'the failed reading goes out',
+    # of messages: why they do not say what they should, or did not go on
+    'unreadable': 'bytes that are not a message of the type',
+    'not in the message': '{field} is not in the message',
+    'too short': 'the array is too short for {field}',
+    'does not fit': '{value} does not fit into {field} ({type})',
+    'only NaN': 'nothing but NaN arrives',
+    'only NaN on': 'nothing but NaN arrives on {topic}',
+    'nothing comes': 'nothing comes on {topic}',
+    'useless messages': 'messages arrive on {topic}, but {why}',
+    'stale messages': 'messages arrive on {topic}, but are {why}',
+    'driver silent': 'its driver has been silent for {seconds:.1f} s',
+    'not newer': 'not sent on: not newer than what went out',
+    'from the future': 'not sent on: stamp far ahead of the clock',
+    'never seen': 'no message of its driver was ever seen, so frame and names are not known',
+    'not sent': 'not sent: {text}',
+    'mistake': 'a mistake of this node ({error})',
+    'clock stands still': 'the clock stands still: no /clock since {seconds:.1f} s',
+    # what is said now and then
+    'counted': '{name}: {why} ({count} so far)',
+    'clock jumped ahead': 'the clock jumped ahead by {seconds:.1f} s; all virtual sensors start '
+    'anew',
+    'clock jumped back': 'the clock jumped back by {seconds:.1f} s; all virtual sensors start '
+    'anew',
+    'faulty sensors': 'faulty sensors: {names}',
+    'slow sensor': '{name}: its readings are {seconds:.3g} s apart, so between them it counts as '
+    'silent after {max_age:.3g} s; raise max_age',
+    'stamps step back': 'the stamps on {topic} stay {seconds:.1f} s behind what went out on '
+    '{output}: they step back there now; mend the clock of the driver',
+    'clock of its own': 'the stamps on {topic} are {seconds:+.1f} s from the clock of this node; '
+    'the estimates in their place follow them',
 }
 
 
@@ -41,11 +96,14 @@ class Reason:
 
     @classmethod
     def of(cls, code: str, **facts: Any) -> Reason:
-        """Make a reason; a fact may be a reason itself."""
+        """Make a reason; a fact may be a reason itself, or a tuple, which is listed."""
         return cls(code, tuple(facts.items()))
 
-    def __getitem__(self, fact: str) -> Any:
-        return dict(self.facts)[fact]
+    def fact(self, name: str) -> Any:
+        """Return one of the facts."""
+        return dict(self.facts)[name]
 
     def __str__(self) -> str:
-        return SENTENCES[self.code].format(**dict(self.facts))
+        return SENTENCES[self.code].format(**{
+            fact: ', '.join(map(str, value)) if isinstance(value, tuple) else value
+            for fact, value in self.facts})

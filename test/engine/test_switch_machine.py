@@ -62,7 +62,6 @@ class Machine(RuleBasedStateMachine):
         self.switch = Switch.of(self.design, policies)
         self.accounts = {s: Account() for s in NAMES}
         self.reported = self.silent = frozenset()
-        self.counted = dict.fromkeys(NAMES, 0)
         self.gone = {}  # by key: since it was given up in this fault, (when, ready) at decisions
 
     # ------------------------------------------------------------------------------ events
@@ -95,7 +94,7 @@ class Machine(RuleBasedStateMachine):
                 .isolate(self.reported, self.now) for s in (first, second)]
         ways = [self.look(w) for w in (*ways, self.switch.isolate(self.reported, self.now))]
         assert all(w.decisions == ways[0].decisions and w.faulty == ways[0].faulty
-                   and w.switches == ways[0].switches for w in ways)
+                   for w in ways)
         self.happen('isolate', self.reported, self.now)
         self.decide()
 
@@ -214,7 +213,7 @@ class Machine(RuleBasedStateMachine):
 
     def check(self, s, old, new, core):
         d, before = new.decisions[s], old.decisions[s]
-        assert '\n' not in d.reason
+        assert '\n' not in str(d.reason)
         may = self.may(new.faulty, s)
         if s not in new.faulty:
             assert (d.source, d.fault_set) == (Source.REAL, ())
@@ -226,12 +225,6 @@ class Machine(RuleBasedStateMachine):
             assert d.fault_set == before.fault_set or set(d.fault_set) == new.faulty
         elif d.source is Source.VIRTUAL:
             assert len(d.fault_set) == min(map(len, may))
-        changed = (d.source, d.fault_set) != (before.source, before.fault_set)
-        self.counted[s] += changed
-        assert new.switches[s] == self.counted[s]
-        if changed:
-            assert new.since[s] == self.now
-        assert new.since[s] is None or new.since[s] <= self.now
 
     def check_forces(self, old, new, core):
         for s in NAMES:
@@ -239,7 +232,7 @@ class Machine(RuleBasedStateMachine):
                 assert s in new.forced and new.decisions[s].source is Source.VIRTUAL
             elif s not in core and s in old.forced:  # waits, or ended if it served
                 assert (s in new.forced) != (old.decisions[s].source is Source.VIRTUAL)
-                assert new.decisions[s].reason.startswith('force ')
+                assert str(new.decisions[s].reason).startswith('force ')
                 everyone = new.faulty | {s}
                 assert any(not self.may(everyone, c) for c in everyone)
         for s in core:  # nobody lost its virtual sensor to a force

@@ -7,6 +7,7 @@ that of y2 is twice y1.
 """
 
 from collections import Counter
+from dataclasses import replace
 import os
 from pathlib import Path
 import socket
@@ -140,7 +141,7 @@ class Rig:
         if sim_time:
             self.clock = self.publisher(Clock, '/clock', 2)  # rclpy hears it, too
             self.clock.publish(Clock(clock=stamp_of(START)))
-            assert self.spin_until(lambda: self.replacer.clock.now == START)
+            assert self.spin_until(lambda: self.replacer.engine.now == START)
         if active:
             self.replacer.activate()
 
@@ -150,10 +151,8 @@ class Rig:
             node = self.replacer.node
             self.replacer.close()
         self.replacer = Replacer(node, read(node))
-        for stream in self.replacer.streams:
-            self.count(stream.subscription.topic_name, stream.reader)
-        for command, reader, _ in self.replacer.commands:
-            self.count(command.topic, reader)
+        for topic, reader in self.replacer.readers.items():
+            self.count(topic, reader)
 
     def close(self):
         self.node.destroy_node()
@@ -204,7 +203,7 @@ class Rig:
 
     def step(self, *messages, periods=1):
         """Send (topic, message) pairs with the next stamp, and step the clock to it."""
-        streams = {s.subscription.topic_name for s in self.replacer.streams}
+        streams = {topic.subscription.topic_name for topic in self.replacer.topics}
         for _ in range(periods):
             self.now += PERIOD
             before = self.taken.copy()
@@ -220,7 +219,7 @@ class Rig:
                 publisher.publish(raw)  # padding has any content: bytes compare only with bytes
             assert self.spin_until(lambda due=before + expected: self.taken >= due)
             self.clock.publish(Clock(clock=stamp_of(self.now)))
-            assert self.spin_until(lambda: self.replacer.clock.now == self.now)
+            assert self.spin_until(lambda: self.replacer.engine.now == self.now)
         self.spin(0.005)
 
     def send(self, stamp, value=0.75, topic='/y2_raw'):
@@ -237,7 +236,7 @@ class Rig:
                     for name in ('y1', 'y2', 'y3')]
         self.publisher(DiagnosticArray, '/isolation').publish(
             DiagnosticArray(status=statuses))
-        assert self.spin_until(lambda: self.replacer.switch.reported == set(names))
+        assert self.spin_until(lambda: self.reported == set(names))
 
     def command(self, value):
         before = self.taken['/u1']
@@ -247,10 +246,27 @@ class Rig:
     def say(self, text):
         self.publisher(String, '/isolation').publish(String(data=text))
 
+    @property
+    def reported(self):
+        """The sensors that isolation says are faulty, as the replacer understood it."""
+        return {c.name for c in self.replacer.snapshot().channels if not np.isnan(c.isolated_s)}
+
+    @property
+    def counts(self):
+        """How often what was not used or not sent on, by sensor and reason in words."""
+        return Counter({(name, str(why)): n for (name, why), n in
+                        self.replacer.engine._counts.items()})
+
+    def why(self, name):
+        """Return in words why a channel is what it is."""
+        return self.told()[name].reason
+
     def told(self):
-        """Return the state of each channel."""
+        """Return the state of each channel, its reasons in words."""
         self.spin(0.005)
-        return {channel.name: channel for channel in self.replacer.channels()}
+        return {c.name: replace(c, reason=str(c.reason or ''), counts={
+            str(why): count for why, count in c.counts.items()})
+            for c in self.replacer.snapshot().channels}
 
     # what is sent and what was heard
 

@@ -95,7 +95,7 @@ def test_a_joint_is_found_wherever_it_stands():
 ])
 def test_what_is_not_there_is_a_reason_and_gets_room(kind, path, message, reason, absent):
     accessor = compile_accessor(kind, path)
-    assert reason in accessor.get(message)
+    assert reason in str(accessor.get(message))
     assert accessor.absent(message) is absent
     assert accessor.put(message, 1.0) is None
     assert accessor.get(message) == 1.0 and not accessor.absent(message)
@@ -107,8 +107,8 @@ def test_what_is_not_there_is_a_reason_and_gets_room(kind, path, message, reason
 ])
 def test_room_that_cannot_be_made(kind, path, message, reason):
     accessor = compile_accessor(kind, path)
-    assert reason in accessor.get(message)
-    assert reason in accessor.put(message, 1.0)
+    assert reason in str(accessor.get(message))
+    assert reason in str(accessor.put(message, 1.0))
 
 
 def test_room_beside_others():
@@ -136,9 +136,9 @@ def test_what_a_float_holds_goes_back_as_it_was():
 
 
 def test_values_that_do_not_fit_are_a_reason():
-    assert 'does not fit' in compile_accessor(Int8, 'data').put(Int8(), 128.0)
-    assert 'does not fit' in compile_accessor(Int8, 'data').put(Int8(), math.nan)
-    assert 'does not fit' in compile_accessor(Range, 'range').put(Range(), 1e39)
+    assert 'does not fit' in str(compile_accessor(Int8, 'data').put(Int8(), 128.0))
+    assert 'does not fit' in str(compile_accessor(Int8, 'data').put(Int8(), math.nan))
+    assert 'does not fit' in str(compile_accessor(Range, 'range').put(Range(), 1e39))
     integer = Int8()
     assert compile_accessor(Int8, 'data').put(integer, -127.6) is None
     assert integer.data == -128
@@ -177,8 +177,8 @@ def test_bad_fields_are_refused_in_one_line(kind, path, told):
 
 def test_names_of_other_types_are_found_too():
     message = MultiDOFJointState(joint_names=['base'])
-    assert 'not in the message' in compile_accessor(
-        MultiDOFJointState, 'transforms[base].translation.x').get(message)
+    reason = compile_accessor(MultiDOFJointState, 'transforms[base].translation.x').get(message)
+    assert reason.code == 'not in the message'
 
 
 @pytest.mark.parametrize('name, told', [

@@ -57,6 +57,7 @@ from type_description_interfaces.msg import FieldType
 from vsensor_ros.node import cdr
 from vsensor_ros.node.accessor import field_type, get_stamp, has_stamp, inner_type, NAME_ARRAYS
 from vsensor_ros.node.cdr import decode, Reader
+from vsensor_ros.reason import Reason
 
 KINDS = [
     JointState, Imu, Odometry, TwistWithCovarianceStamped, FluidPressure, Temperature, Range,
@@ -224,8 +225,8 @@ def test_bytes_put_together_by_hand():
     reading = Reader(JointState, ['position[qq]', 'velocity[qq]', 'velocity[p]', 'effort[r]']
                      ).read(raw)
     assert reading.stamp == -1_500_000_000
-    assert reading.values == (2.5, 'the array is too short for velocity[qq]', 3.5,
-                              'effort[r] is not in the message')
+    assert reading.values == (2.5, Reason.of('too short', field='velocity[qq]'), 3.5,
+                              Reason.of('not in the message', field='effort[r]'))
     assert not reading.foreign
     assert [raw[o:o + 8] for o in reading.offsets if o] == [
         struct.pack('<d', 2.5), struct.pack('<d', 3.5)]
@@ -253,7 +254,7 @@ def test_joints_that_change_order_and_drivers_that_share_a_topic():
         reading = check(reader, serialize_message(joint_state(names)))
         assert reading.foreign is foreign and reading.stamp == 5_000_000_007
         for value, expected in zip(reading.values, values or (None, None)):
-            assert value == expected or (expected is None and 'not in the message' in value)
+            assert value == expected or (expected is None and value.code == 'not in the message')
 
 
 @pytest.mark.parametrize('names', [
@@ -313,7 +314,7 @@ def test_more_than_a_bound_allows_is_refused():
     message = ParameterDescriptor()
     raw = serialize_message(message)
     reader = Reader(ParameterDescriptor, ['integer_range[0].step'])
-    assert 'not in the message' in reader.read(raw).values[0]
+    assert reader.read(raw).values[0].code == 'not in the message'
     count = raw[:36].rindex(b'\0\0\0\0')
     raw = raw[:count] + b'\2\0\0\0' + bytes(64)
     assert reader.read(raw) is None and decode(ParameterDescriptor, raw) is None
@@ -335,7 +336,7 @@ def test_layouts_that_are_long_are_not_kept():
         tracemalloc.stop()
     raw = b'\0\1\0\0' + bytes(12) + struct.pack('<I', 10**5) + bytes(4 * 10**5 + 12)
     tracemalloc.start()
-    assert 'too short' in reader.read(raw).values[0]
+    assert reader.read(raw).values[0].code == 'too short'
     assert tracemalloc.get_traced_memory()[1] < 4_000_000
     tracemalloc.stop()
     for count in range(20):

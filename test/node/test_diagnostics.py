@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 import pytest
 from rclpy.serialization import deserialize_message
 
-from vsensor_ros.engine.state import ChannelState, Health
+from vsensor_ros.engine.state import ChannelState, EngineState
 from vsensor_ros.engine.switch import Policy
 from vsensor_ros.node.diagnostics import (
     channel_facts,
@@ -19,19 +19,21 @@ from vsensor_ros.node.diagnostics import (
     Scene,
     WINDOW,
 )
+from vsensor_ros.reason import Reason
 
 OK, WARN, ERROR, STALE = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR,
                           DiagnosticStatus.STALE)
 NAN = math.nan
-REAL = ChannelState('y2', '/y2', 'rad', 'real', '', (), '', 1.5, 0.0, 0.0, 0, NAN, NAN, 0.0,
-                    False, NAN, None, {}, 100.0)
-HEALTH = Health(100.0, 100.0, 1e-4, 2e-4, 3e-4, 1e-4, 0, {}, (), 10, 0, 0)
+REAL = ChannelState('y2', '/y2', 'rad', 'real', None, (), '', 1.5, 0.0, None, 0.0, 0, NAN, NAN,
+                    0.0, False, NAN, NAN, NAN, None, False, 0, 0, {}, 100)
+ENGINE = EngineState((), (), ticks=10, left_out=0, estimates=0, jumps={}, starts=0, still=0.0)
+ISOLATED, CONVERGING = Reason('isolated'), Reason.of('converging', seconds=2.3)
 
 
 @pytest.fixture
 def virtual(plan):
     return replace(
-        REAL, source='virtual', reason='isolated', fault_set=('y2',), grade='exact',
+        REAL, source='virtual', reason=ISOLATED, fault_set=('y2',), grade='exact',
         deviation=0.0213, switches=1, last_step=0.001, since_s=12.0, virtual_s=12.0,
         serves=plan['y2', 'y2'])
 
@@ -55,7 +57,8 @@ def test_a_virtual_one_says_of_what_how_good_and_what_to_do(plan, virtual):
         WARN, 'virtual (isolated), from y1, good to 0.021 rad; repair y2')
     assert told(replace(virtual, deviation=math.inf, grade='bounded'), scene(plan, 'y2')) == (
         WARN, 'virtual (isolated), from y1, but unknown inputs still disturb it; repair y2')
-    assert told(replace(virtual, reason='isolated; converging, 2.3 s more'), scene(plan, 'y2'))[
+    assert told(replace(virtual, reason=Reason.of(
+        'served by a superset', why=ISOLATED, exact=CONVERGING)), scene(plan, 'y2'))[
         1].endswith('rad; converging, 2.3 s more; repair y2')
 
 
@@ -69,21 +72,23 @@ def test_a_virtual_one_says_of_what_how_good_and_what_to_do(plan, virtual):
 def test_what_brings_a_sensor_back_that_is_healthy_again(plan, virtual, policy, since, remedy):
     level, message = told(replace(virtual, recovering_s=since), scene(plan, 'y2', policy=policy))
     assert level == WARN and message == f'virtual, from y1, good to 0.021 rad; {remedy}'
-    _, message = told(replace(REAL, source='none', reason='converging', recovering_s=since),
-                      scene(plan, 'y2', policy=policy))
-    assert message == f'no valid source (converging); {remedy}'
+    nothing = replace(REAL, source='none', reason=Reason('start unknown'), recovering_s=since)
+    _, message = told(nothing, scene(plan, 'y2', policy=policy))
+    assert message == ('no valid source (it is not known when it has forgotten its start); '
+                       + remedy)
 
 
 def test_a_forced_one_says_how_it_is_released(plan, virtual):
     level, message = told(replace(virtual, forced=True), scene(plan, 'y2'))
     assert level == WARN
     assert message.endswith('; forced; /cell/replacer/y2/force with false releases it')
-    waits = replace(REAL, forced=True, reason='force waits: converging, 2.3 s more')
+    waits = replace(REAL, forced=True, reason=Reason.of('force waits', why=CONVERGING))
     assert told(waits, scene(plan)) == (WARN, 'real; force waits: converging, 2.3 s more')
 
 
 def test_no_valid_source(plan):
-    nothing = replace(REAL, source='none', reason='converging, 2.3 s more; nothing goes out')
+    nothing = replace(REAL, source='none', reason=Reason.of(
+        'instead', why=CONVERGING, instead=Reason('stop')))
     assert told(nothing, scene(plan, 'y2')) == (
         ERROR, 'no valid source (converging, 2.3 s more; nothing goes out); repair y2')
     _, message = told(nothing, scene(plan, 'y2', 'y3'))
@@ -91,13 +96,14 @@ def test_no_valid_source(plan):
 
 
 def test_a_healthy_one_in_a_message_that_cannot_go_out(plan):
-    nothing = replace(REAL, source='none', reason='not newer than what went out')
+    nothing = replace(REAL, source='none', reason=Reason('not newer'))
     assert told(nothing, scene(plan, 'y1', 'y3')) == (
-        ERROR, 'healthy, but nothing goes out with it (not newer than what went out); repair y1')
+        ERROR, 'healthy, but nothing goes out with it (not sent on: not newer than what went '
+        'out); repair y1')
 
 
 def test_silence_is_stale_and_nothing_else_is(plan, virtual):
-    silent = replace(REAL, source='silent', reason='nothing comes on /y2_raw')
+    silent = replace(REAL, source='silent', reason=Reason.of('nothing comes', topic='/y2_raw'))
     assert told(silent, scene(plan)) == (
         STALE, 'nothing comes on /y2_raw; check the driver of y2')
     assert STALE not in {told(c, scene(plan, 'y2'))[0] for c in (
@@ -105,7 +111,7 @@ def test_silence_is_stale_and_nothing_else_is(plan, virtual):
 
 
 def test_a_silent_driver_of_a_virtual_channel_is_said(plan, virtual):
-    reason = 'isolated; its driver has been silent for 4.0 s'
+    reason = Reason.of('both', first=ISOLATED, second=Reason.of('driver silent', seconds=4.0))
     assert told(replace(virtual, reason=reason), scene(plan, 'y2'))[1].endswith(
         'good to 0.021 rad; its driver has been silent for 4.0 s; repair y2')
 
@@ -121,25 +127,26 @@ def test_what_others_do_on_its_topics_and_whipsaw_are_warnings(plan, virtual):
 
 
 def test_the_loop():
-    report = describe_loop(HEALTH, 'active', 0, [])
+    report = describe_loop(ENGINE, 'active', 0, [])
     assert (report.level, report.message) == (OK, 'active')
-    assert describe_loop(HEALTH, 'inactive', 0, []).message == 'inactive; nothing goes out'
-    assert describe_loop(HEALTH, 'inactive', 0, []).level == WARN
-    report = describe_loop(HEALTH, 'active', 7, ['/u1: /x uses the type A, this node B'])
+    assert describe_loop(ENGINE, 'inactive', 0, []).message == 'inactive; nothing goes out'
+    assert describe_loop(ENGINE, 'inactive', 0, []).level == WARN
+    report = describe_loop(ENGINE, 'active', 7, ['/u1: /x uses the type A, this node B'])
     assert report.level == WARN and '7 ticks left out in 60 s' in report.message
     assert report.message.endswith('/u1: /x uses the type A, this node B')
-    assert '/clock' in describe_loop(replace(HEALTH, ticks=0), 'active', 0, []).message
-    report = describe_loop(replace(HEALTH, clock_age=3.0), 'active', 0, [])
+    assert '/clock' in describe_loop(replace(ENGINE, ticks=0), 'active', 0, []).message
+    report = describe_loop(replace(ENGINE, still=3.0), 'active', 0, [])
     assert report.level == WARN and 'stands still: no /clock since 3.0 s' in report.message
-    report = describe_loop(HEALTH, 'active', 0, [], 12)
+    report = describe_loop(ENGINE, 'active', 0, [], 12)
     assert report.level == WARN and '12 messages of isolation thrown away' in report.message
 
 
 def test_facts(plan, virtual):
     where = scene(plan, 'y2')
-    facts = channel_facts(replace(virtual, counts={'not finite': 3}), where)
+    facts = channel_facts(replace(virtual, counts={Reason('not finite'): 3}), where, 99.0)
     assert facts['source'] == 'virtual' and facts['faulty sensors'] == 'y2'
     assert facts['grade'] == 'exact' and facts['order'] == 0 and facts['not finite'] == 3
+    assert facts['readings [Hz]'] == '99'
     assert facts['since [s]'] == '12.0' and facts['deviation'] == '0.0213'
 
 

@@ -31,7 +31,7 @@ def test_bytes_that_are_no_message(rig, parameters):
         for raw in (b'', b'garbage', b'\x00\x01\x00\x00' + b'\xff' * 6):
             r.publisher(kind, topic).publish(raw)
     r.spin()
-    assert sum(r.replacer.counts.values()) == 6 and not r.replacer.switch.reported
+    assert sum(r.counts.values()) == 6 and not r.reported
     r.step(*r.healthy())
     assert r.spin_until(lambda: len(heard) == 4)
 
@@ -46,7 +46,7 @@ def test_bad_readings_are_counted_and_stop_nothing(rig, parameters):
     backwards.header.stamp.sec = r.now // 10**9 - 5
     r.publisher(Range, '/y1_raw').publish(backwards)
     r.spin()
-    counts = r.replacer.counts
+    counts = r.counts
     assert counts['y1', 'not finite'] == 3
     assert counts['y1', 'stamp runs backwards'] == 1
     r.isolate('y2')
@@ -59,7 +59,7 @@ def test_the_same_again_is_not_logged_again(rig, parameters, capfd):
     r.step(*r.healthy(), periods=2)
     for _ in range(20):
         r.step(*r.healthy(y1=math.nan))
-    assert r.replacer.counts['y1', 'not finite'] == 20
+    assert r.counts['y1', 'not finite'] == 20
     assert capfd.readouterr().err.count('y1: not finite') == 1
 
 

@@ -73,7 +73,7 @@ def test_illegal_parameters_fail_the_transition_with_the_reasons_in_the_log(mach
     result = set_parameter(m, 'recovery.dwell', -1.0)
     assert not result.successful and 'recovery.dwell' in result.reason
     assert set_parameter(m, 'recovery.dwell', 7.0).successful
-    assert m.node.replacer.live.policies['y1'].dwell == 7.0
+    assert m.node.replacer.policies['y1'].dwell == 7.0
 
 
 @pytest.mark.parametrize('error, told', [

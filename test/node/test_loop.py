@@ -24,7 +24,8 @@ def running(r):
     poll, r.replacer.poll = r.replacer.poll, lambda *given: 0
     thread = Thread(target=run, args=(type('Loop', (), {
         'poll': staticmethod(poll), 'subscriptions': r.replacer.subscriptions,
-        'ticks': r.replacer.ticks, 'node': r.replacer.node, 'clock': r.replacer.clock})(),
+        'node': r.replacer.node, 'simulated': r.replacer.simulated,
+        'due': property(lambda _: r.replacer.due)})(),
         stop, active))
     thread.start()
     try:
@@ -67,15 +68,15 @@ def test_messages_pass_and_ticks_lie_on_the_grid(rig, parameters):
         assert set(r.values(virtual[-20:])) == {1.5}  # twice what the first said lately
         assert np.all(np.diff(r.stamps(virtual)) % PERIOD == 0)
         assert np.all(np.diff(r.stamps(heard[1][199:])) > 0)
-        health = r.replacer.health()
-    assert health.ticks > 20 and health.estimates >= 30
+        health, engine = r.replacer.health(), r.replacer.snapshot()
+    assert engine.ticks > 20 and engine.estimates >= 30
     assert 0.0 < health.step_p50 <= health.step_p99 <= health.step_max
 
 
 def test_an_estimate_waits_for_its_time_to_be_sent(rig, parameters):
     r = rig(parameters, sim_time=False)
     drivers = sensors(r)
-    publisher = r.replacer.streams[1].publisher
+    publisher = r.replacer.topics[1].publisher
     publish, waited = publisher.publish, []
 
     def note(message):
@@ -112,21 +113,21 @@ def test_what_goes_wrong_with_one_stream_stops_no_other(rig, parameters, capfd):
     r = rig(parameters, sim_time=False)
     heard = r.listen(RANGE, '/y3')
     drivers = sensors(r)
-    first, second, _ = r.replacer.streams
+    first, second, _ = r.replacer.topics
 
     def refuse(*given):
         raise RuntimeError('failed to publish: out of memory, at /ros/publisher.c:1')
 
     def stumble(*given):
         raise LookupError
-    first._send, second.accept = refuse, stumble
+    first.send, second.forward = refuse, stumble
     with running(r):
         for _ in range(5):
             for driver in drivers:
                 driver.publish(now_(0.5))
         assert r.spin_until(lambda: len(heard) == 5)
-    assert r.replacer.counts['y1', 'not sent: failed to publish: out of memory'] == 5
-    assert r.replacer.counts['y2', 'a mistake of this node (LookupError)'] == 5
+    assert r.counts['y1', 'not sent: failed to publish: out of memory'] == 5
+    assert r.counts['y2', 'a mistake of this node (LookupError)'] == 5
     said = capfd.readouterr().err
     assert said.count('not sent: failed') == 1 and said.count('Traceback') == 1
 

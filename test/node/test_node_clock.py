@@ -1,63 +1,13 @@
-"""The clock of the node, alone and in a replacer: paused, ahead, back, set back."""
+"""The clock of the node in a replacer: paused, ahead, back, set back."""
 
 import time
 
 import numpy as np
 import pytest
 
-from vsensor_ros.engine.clock import NodeClock
-
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
 SECOND = 10**9
-
-
-def clock(times, simulated, monkeypatch):
-    """Return a clock that will show these times [ns] one after the other."""
-    times = iter(times)
-    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns', lambda: next(times))
-    return NodeClock(10 * SECOND, (lambda: next(times)) if simulated else None)
-
-
-def test_a_clock_that_only_runs(monkeypatch):
-    c = clock([100 * SECOND, 101 * SECOND, 101 * SECOND, 111 * SECOND], False, monkeypatch)
-    assert [c.look() for _ in range(4)] == [0] * 4
-    assert c.now == 111 * SECOND and c.lasting() == 11 * SECOND and not c.jumps
-
-
-@pytest.mark.parametrize('simulated, back, way', [
-    (True, 1, 'backwards'), (False, SECOND, 'backwards'), (False, SECOND - 1, 'stood still'),
-    (False, 11_000_000, 'stood still'), (False, 9_000_000, None)])
-def test_a_clock_set_back(simulated, back, way, monkeypatch):
-    t = 100 * SECOND
-    c = clock([t, t + SECOND, t + SECOND - back, t + SECOND - back + 1, t + 2 * SECOND],
-              simulated, monkeypatch)
-    jumps = [c.look() for _ in range(4)]
-    if way == 'backwards':
-        assert jumps == [0, 0, -back, 0] and c.now == t + SECOND - back + 1
-        assert c.lasting() == SECOND + 1  # what has lasted a second has lasted a second
-    else:
-        assert jumps == [0] * 4 and c.now == t + SECOND and c.lasting() == SECOND
-    assert dict(c.jumps) == ({way: 1} if way else {})
-    c.look()
-    assert c.now == t + 2 * SECOND
-
-
-def test_a_clock_that_jumps_ahead(monkeypatch):
-    t = 100 * SECOND
-    c = clock([t, t + SECOND, t + 12 * SECOND], False, monkeypatch)
-    assert [c.look() for _ in range(3)] == [0, 0, 11 * SECOND]
-    assert c.lasting() == SECOND and c.lasting(c.now - PERIOD) == SECOND - PERIOD
-    assert c.jumps == {'forwards': 1}
-
-
-def test_simulated_time_that_has_not_begun_or_is_paused(monkeypatch):
-    c = clock([None, 5, None, None, 7], True, monkeypatch)
-    seen = []
-    for _ in range(5):
-        assert c.look() == 0
-        seen.append(c.now)
-    assert seen == [0, 5, 5, 5, 7] and c.lasting() == 2
 
 
 def test_a_clock_that_goes_back_starts_anew(rig, parameters, capfd):
@@ -70,7 +20,7 @@ def test_a_clock_that_goes_back_starts_anew(rig, parameters, capfd):
     r.now -= SECOND
     r.step()
     assert 'the clock jumped back by 1.0 s' in capfd.readouterr().err
-    assert 'nothing comes' in r.replacer.streams[0].why_silent('y1', r.now)
+    assert 'nothing comes' in r.why('y1')
     count, start = len(heard), r.now
     r.step(*r.healthy(y1=0.75, y2=0.0), periods=10)
     assert r.spin_until(lambda: len(heard) > count)
@@ -78,7 +28,7 @@ def test_a_clock_that_goes_back_starts_anew(rig, parameters, capfd):
     assert start < fresh[0] <= fresh[-1] < start + SECOND and np.all(np.diff(fresh) > 0)
     assert r.values(heard)[-1] == 1.5
     after = r.told()['y2']
-    assert r.replacer.health().jumps == {'backwards': 1}
+    assert r.replacer.snapshot().jumps == {'backwards': 1}
     # a second was taken out of the clock, not of what lasts; one step more fell into the jump
     assert after.virtual_s - before.virtual_s == pytest.approx(0.1, abs=1e-9)
     assert after.since_s < 0.3
@@ -100,7 +50,7 @@ def test_a_clock_that_jumps_ahead_starts_anew(rig, parameters, capfd):
     r.now += 60 * SECOND
     r.step(*r.healthy(y1=0.25, y2=0.0), periods=5)
     assert 'the clock jumped ahead by 60.0 s' in capfd.readouterr().err
-    assert r.replacer.health().jumps == {'forwards': 1}
+    assert r.replacer.snapshot().jumps == {'forwards': 1}
     told = r.told()['y2']
     assert told.source == 'virtual' and told.recovering_s < 1.0  # a jump is no dwell
     assert r.values(heard)[-1] == 0.5 and np.all(np.diff(r.stamps(heard)) > 0)
@@ -117,43 +67,41 @@ def test_a_clock_that_pauses_changes_nothing(rig, parameters):
     assert len(heard) == before and r.told() == state
     r.step(*r.healthy(y1=0.75), periods=2)
     assert len(heard) == before + 2 and r.values(heard)[-1] == 1.5
-    assert r.replacer.health().jumps == {}
+    assert r.replacer.snapshot().jumps == {}
 
 
 def test_a_wall_clock_set_back(rig, parameters, capfd, monkeypatch):
     away = 0
-    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns',
+    monkeypatch.setattr('vsensor_ros.node.replacer.time.time_ns',
                         lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + away)
     r = rig(parameters, sim_time=False)
     r.spin()
-    before = r.replacer.clock.now
+    before = r.replacer.engine.now
     away = -800_000_000
     r.spin()
-    assert r.replacer.clock.now >= before and r.replacer.health().jumps == {'stood still': 1}
+    assert r.replacer.engine.now >= before and r.replacer.snapshot().jumps == {'stood still': 1}
     assert 'clock' not in capfd.readouterr().err
     away = -5 * SECOND
     r.spin()
-    assert before - 5 * SECOND < r.replacer.clock.now < before - 4 * SECOND
-    assert r.replacer.health().jumps == {'stood still': 1, 'backwards': 1}
+    assert before - 5 * SECOND < r.replacer.engine.now < before - 4 * SECOND
+    assert r.replacer.snapshot().jumps == {'stood still': 1, 'backwards': 1}
     assert 'the clock jumped back by' in capfd.readouterr().err
-    ticks = r.replacer.pace.ticks
-    assert r.spin_until(lambda: r.replacer.pace.ticks > ticks)  # it goes on
+    ticks = r.replacer.snapshot().ticks
+    assert r.spin_until(lambda: r.replacer.snapshot().ticks > ticks)  # it goes on
 
 
-def test_a_clock_that_stands_still_is_said(rig, parameters, monkeypatch):
+def test_a_clock_that_stands_still_is_said(rig, parameters):
     r = rig(parameters)
     r.step(*r.healthy(), periods=5)
     r.isolate('y2')
     r.step(*r.healthy(), periods=5)
     assert r.told()['y2'].source == 'virtual'
-    moved = r.replacer.clock_age
-    monkeypatch.setattr(r.replacer, 'clock_age', lambda: 3.0 + moved())
-    told = r.told()['y2']
+    told = r.replacer.engine.snapshot(time.monotonic() + 3.0).channels[1]
     assert told.source == 'none'
-    assert told.reason == 'the clock stands still: no /clock since 3.0 s; nothing goes out'
-    monkeypatch.undo()
-    before = r.replacer.clock_age()
+    assert str(told.reason).startswith('the clock stands still: no /clock since 3.')
+    assert str(told.reason).endswith('; nothing goes out')
+    before = r.replacer.snapshot().still
     r.spin(0.3)
-    assert r.replacer.clock_age() >= before + 0.3
+    assert r.replacer.snapshot().still >= before + 0.3
     r.step(*r.healthy())
-    assert r.replacer.clock_age() < before + 0.3 and r.told()['y2'].source == 'virtual'
+    assert r.replacer.snapshot().still < before + 0.3 and r.told()['y2'].source == 'virtual'

@@ -210,7 +210,7 @@ def test_a_parameter_file_for_another_node(start, parameters):
 def test_what_the_graph_refuses_is_one_line(start, parameters, monkeypatch):
     def fail(*arguments):
         raise RuntimeError('no room for a topic, at /publisher.c:1, at /topic.cpp:2')
-    monkeypatch.setattr('vsensor_ros.node.replacer.open_streams', fail)
+    monkeypatch.setattr('vsensor_ros.node.replacer.open_topics', fail)
     with pytest.raises(Refused) as raised:
         node = start(parameters)
         Replacer(node, read(node))

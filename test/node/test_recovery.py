@@ -211,7 +211,7 @@ def test_nothing_serves_before_it_has_converged(rig, parameters, plan, tmp_path)
     r.command(2.0)
     r.step(*r.healthy(y1=9.0), periods=5)
     assert r.told()['y1'].source == 'none'
-    assert 'converging' in r.replacer.bank.why_not(('y1',), 'y1')
+    assert 'converging' in str(r.replacer.engine._bank.why_not(('y1',), 'y1'))
 
 
 def test_an_estimate_too_uncertain_is_not_sent(rig, parameters):
@@ -225,7 +225,8 @@ def test_an_estimate_too_uncertain_is_not_sent(rig, parameters):
     assert told.source == 'virtual' and 0.01 < told.deviation < 0.013  # 0.02 / sqrt(3) = 0.0115
     assert decode(Range, heard[-1]).variance == pytest.approx(told.deviation ** 2, rel=1e-6)
     count = len(heard)
-    r.replacer.apply(replace(r.replacer.live, max_deviation={'y1': 0.0, 'y2': 0.004, 'y3': 0.0}))
+    r.replacer.apply(replace(r.replacer.settings.live, max_deviation={
+        'y1': 0.0, 'y2': 0.004, 'y3': 0.0}))
     r.step(*r.healthy(), periods=3)
     told = r.told()['y2']
     assert told.source == 'none' and 'max_deviation' in told.reason and len(heard) == count
@@ -263,4 +264,4 @@ def test_what_went_out_is_told_to_who_listens(rig, parameters):
             decode(Range, raw).range, abs=1e-6)
         assert facts['value'] - facts['offset'] == pytest.approx(1.0, abs=1e-9)
         assert math.isfinite(facts['deviation'])
-    assert r.replacer.health().estimates == 6
+    assert r.replacer.snapshot().estimates == 6

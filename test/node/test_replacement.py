@@ -63,7 +63,7 @@ def test_an_estimate_without_its_reading_is_not_sent(rig, parameters):
     r.isolate('y2')
     r.step(r.healthy()[2], periods=60)  # y1 says nothing for longer than max_age
     assert 51 <= len(heard) - 5 <= 53
-    said = r.replacer.why['y2']
+    said = r.why('y2')
     assert 'y1 silent' in said
 
 
@@ -116,11 +116,11 @@ def test_ticks_that_were_missed_are_made_good(rig, parameters):
     r.step(*r.healthy(y1=0.75))
     assert r.spin_until(lambda: len(heard) == 11)
     assert np.all(np.diff(r.stamps(heard)[6:]) == PERIOD)
-    assert r.replacer.clock.jumps == {}
+    assert r.replacer.snapshot().jumps == {}
     r.now += 29 * PERIOD  # too many: the newest will do
     r.step(*r.healthy(y1=0.75))
     assert len(heard) == 12 and r.stamps(heard)[-1] == r.now
-    assert r.replacer.pace.overruns == 29
+    assert r.replacer.snapshot().left_out == 29
 
 
 def test_types_without_a_header(rig, parameters):
@@ -144,7 +144,7 @@ def test_no_template_no_message(rig, parameters):
     r.step(*r.healthy()[1:], periods=3)
     r.isolate('y1')
     r.step(*r.healthy()[1:], periods=5)
-    assert not heard and 'ever seen' in r.replacer.why['y1']
+    assert not heard and 'ever seen' in r.why('y1')
 
 
 def test_from_no_source_back_to_a_virtual_one(rig, parameters):
@@ -169,7 +169,7 @@ def test_there_may_be_nothing_to_hold(rig, parameters):
     r.step(*r.healthy()[:2], periods=3)
     r.isolate('y3')
     r.step(*r.healthy()[:2], periods=3)
-    assert not heard and 'nothing goes out' in r.replacer.why['y3']
+    assert not heard and 'nothing goes out' in r.why('y3')
 
 
 def test_a_tick_waits_for_the_readings_of_its_time(rig, parameters):

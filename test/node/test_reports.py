@@ -16,7 +16,7 @@ def statuses(**levels):
 
 
 def reported(r, *names):
-    return r.spin_until(lambda: r.replacer.switch.reported == set(names))
+    return r.spin_until(lambda: r.reported == set(names))
 
 
 def keeper(r, kind):
@@ -64,8 +64,9 @@ def test_history_does_not_overrule_what_is_newer(rig, parameters):
     reports = r.replacer.reports
     for sent, what in ((reports._said['y1'] - 1, statuses(y1=2, y3=2)),
                        (reports._said['y1'] + 1, statuses(y2=0))):
-        news = reports.late(sent, r.raw(what), frozenset({'y2'}))
-        assert news == ({'y2', 'y3'} if what.status[0].name == 'y1' else set())
+        reports.apply(sent, r.raw(what), r.now, late=True)
+        assert set(reports.report().faulty) == (
+            {'y2', 'y3'} if what.status[0].name == 'y1' else {'y3'})
 
 
 def test_a_live_message_heard_twice_counts_once(rig, parameters):
@@ -106,7 +107,7 @@ def test_isolation_may_chatter_without_flooding_the_log(rig, parameters, capfd):
         r.spin(0.01)
     said = capfd.readouterr().err
     assert said.count('faulty sensors:') == 1 and said.count('is not a sensor') == 1
-    assert r.replacer.health().faulty == ('y1',)
+    assert r.replacer.snapshot().faulty == ('y1',)
 
 
 @pytest.mark.parametrize('topic', ['/isolation', '/diagnostics'])
@@ -124,11 +125,12 @@ def test_a_flood_about_others_leaves_room_for_what_is_true(rig, parameters, monk
     monkeypatch.setattr('vsensor_ros.node.reports.time.monotonic_ns', lambda: 10**9)
     r = rig(parameters)
     r.step(*r.healthy(), periods=3)
-    faulty, reports = frozenset(), r.replacer.reports
+    reports = r.replacer.reports
     flood, true = r.raw(statuses(q=2)), r.raw(statuses(y1=2))
     for i in range(2000):
-        faulty = reports.late(i + 1, flood, faulty)
-    assert reports.late(3000, true, faulty) == {'y1'}
+        reports.apply(i + 1, flood, r.now, late=True)
+    reports.apply(3000, true, r.now, late=True)
+    assert reports.report().faulty == {'y1': r.now}
     health = r.replacer.health()
     assert health.not_used == 2000 and 1000 < health.thrown_away < 2000
 
@@ -137,5 +139,5 @@ def test_what_others_say_on_a_shared_topic_is_thrown_away_by_nobody(rig, paramet
     r = rig({**parameters, 'isolation.topic': '/diagnostics'})
     raw = r.raw(statuses(q=2))
     for i in range(2000):
-        r.replacer.reports.late(i + 1, raw, frozenset())
+        r.replacer.reports.apply(i + 1, raw, r.now, late=True)
     assert r.replacer.health().not_used == r.replacer.health().thrown_away == 0

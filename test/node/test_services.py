@@ -25,7 +25,7 @@ def running(machine):
 
 
 def state(m, name):
-    return next(c for c in m.node.replacer.channels() if c.name == name)
+    return next(c for c in m.node.replacer.snapshot().channels if c.name == name)
 
 
 def source(m, name):
@@ -34,7 +34,7 @@ def source(m, name):
 
 def ready(m, name):
     with m.node.replacer.lock:
-        return m.node.replacer.bank.ready((name,), name)
+        return m.node.replacer.engine._bank.ready((name,), name)
 
 
 def ask(m, name, **fields):
@@ -63,7 +63,7 @@ def test_clear_gives_a_held_one_back_but_no_faulty_one(running):
     success, message = ask(m, 'y2/clear')
     assert not success and message.startswith('y2: isolation still reports it faulty')
     m.isolate('')
-    assert m.spin_until(lambda: 'y2' in m.node.replacer.switch.recovering)
+    assert m.spin_until(lambda: state(m, 'y2').recovering_s >= 0.0)
     assert source(m, 'y2') == 'virtual'
     assert ask(m, 'y2/clear') == (True, 'y2 is real')
 
@@ -73,7 +73,7 @@ def test_reset_releases_what_is_latched_or_forced(running):
     m.isolate('y2')
     assert m.spin_until(lambda: source(m, 'y2') == 'virtual')
     m.isolate('')
-    assert m.spin_until(lambda: 'y2' in m.node.replacer.switch.recovering)
+    assert m.spin_until(lambda: state(m, 'y2').recovering_s >= 0.0)
     assert ask(m, 'y2/clear') == (False, 'y2: is latched; reset the replacer')
     assert ask(m, 'reset') == (True, 'all are real')
     assert source(m, 'y2') == 'real'
@@ -88,7 +88,7 @@ def test_while_it_is_not_active_nothing_is_done(running):
     for name, fields in (('y2/force', {'data': True}), ('y2/clear', {}), ('reset', {})):
         assert ask(m, name, **fields) == (
             False, 'the replacer is not active; activate it first')
-    assert not m.node.replacer.switch.forced
+    assert not any(c.forced for c in m.node.replacer.snapshot().channels)
     m.change('cleanup')
     services = {s for s, _ in m.node.get_service_names_and_types_by_node('replacer', '/')}
     assert not {s for s in services if '/y2/' in s or s.endswith('/reset')}

@@ -100,14 +100,14 @@ def test_a_failed_reading_does_not_go_out_before_the_history_is_heard(machine, m
         get_publisher_count = staticmethod(lambda: 1)
     replacer.reports._late = Slow
     assert m.change('activate') == (True, 'active')
-    assert m.spin_until(lambda: replacer.channels()[1].rate_hz > 0.0)
+    assert m.spin_until(lambda: replacer.snapshot().channels[1].readings > 0)
     states = [{v.key: v.value for v in s.values}['state'] for array in told
               for s in array.status if s.name == 'replacer']
     assert states[-1] == 'starting' and len(told[-1].status) == 1 and not heard
     replacer.reports._late = late
     assert m.spin_until(lambda: not replacer.start.waits)
     m.spin(0.1)
-    assert not heard and replacer.health().faulty == ('y2', 'y3')
+    assert not heard and replacer.snapshot().faulty == ('y2', 'y3')
 
 
 def test_what_isolation_said_is_known_when_as_many_have_spoken_as_keep_it(rig, parameters):
@@ -127,7 +127,7 @@ def test_what_isolation_said_is_known_when_as_many_have_spoken_as_keep_it(rig, p
 def test_what_passed_while_it_was_inactive_is_neither_jump_nor_overrun(
         rig, parameters, monkeypatch):
     rest = 0
-    monkeypatch.setattr('vsensor_ros.engine.clock.time.time_ns',
+    monkeypatch.setattr('vsensor_ros.node.replacer.time.time_ns',
                         lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + rest)
     monkeypatch.setattr('vsensor_ros.node.pace.time.perf_counter_ns',
                         lambda: time.monotonic_ns() + rest)
@@ -146,19 +146,19 @@ def test_what_passed_while_it_was_inactive_is_neither_jump_nor_overrun(
             r.spin(0.01)
         return until()
 
-    started = partial(r.replacer.bank.started, ('y2',), 'y2')
+    started = partial(r.replacer.engine._bank.started, ('y2',), 'y2')
     assert drive(lambda: started() is not None and len(heard) > 5)
     r.isolate('y2')
-    assert drive(lambda: r.replacer.health().estimates > 5)
+    assert drive(lambda: r.replacer.snapshot().estimates > 5)
     r.replacer.deactivate()
-    before, overruns = len(heard), r.replacer.health().overruns
+    before, overruns = len(heard), r.replacer.snapshot().left_out
     stamp = r.stamps(heard)[-1]
     rest = 60 * 10**9
     r.replacer.activate()
     assert len(heard) == before
     assert drive(lambda: len(heard) > before + 10)
-    health = r.replacer.health()
-    assert health.overruns - overruns < 1000 and not health.jumps
+    health = r.replacer.snapshot()
+    assert health.left_out - overruns < 1000 and not health.jumps
     assert started() > stamp + 59 * 10**9 and r.values(heard)[-1] == 1.5
     assert r.stamps(heard)[before] > stamp + 59 * 10**9
-    assert health.achieved > 10.0
+    assert r.replacer.health().achieved > 10.0

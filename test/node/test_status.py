@@ -14,10 +14,11 @@ sys.path.append(str(Path(__file__).parent))
 from managed_rig import KEPT, machines
 
 KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', 'offset',
-        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'recovering_s', 'readings_hz',
+        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'recovering_s',
+        'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts', 'readings_hz',
         'not_used', 'reason'}
 NODE_KEYS = {'state', 'rate', 'achieved', 'step_p50', 'step_p99', 'step_max', 'jitter_p99',
-             'overruns', 'ticks', 'estimates', 'faulty', 'not_used'}
+             'overruns', 'ticks', 'estimates', 'starts', 'faulty', 'not_used'}
 
 
 @pytest.fixture
@@ -154,7 +155,7 @@ def test_what_toggles_floods_neither_log_nor_status(machine, monkeypatch):
     m.drive()
     heard = m.listen(DiagnosticArray, '/replacer/status', KEPT)
     assert m.spin_until(lambda: is_source(heard, 'y1', 'real'))
-    assert m.spin_until(lambda: m.node.replacer.bank.ready(('y1',), 'y1'))
+    assert m.spin_until(lambda: m.node.replacer.engine._bank.ready(('y1',), 'y1'))
     heard.clear()
     m.log.clear()
     begin = time.monotonic()
@@ -162,7 +163,7 @@ def test_what_toggles_floods_neither_log_nor_status(machine, monkeypatch):
         assert m.call(SetBool, 'y1/force', data=i % 2 == 0).success
         m.spin(0.03)  # so that each goes out
     lasted = time.monotonic() - begin
-    assert m.node.replacer.channels()[0].switches > 20
+    assert m.node.replacer.snapshot().channels[0].switches > 20
     assert len(heard) <= lasted / status.SOONEST + 2
     lines = [line for line in m.logged('y1: ') if 'asked' not in line]
     assert 0 < len(lines) <= 2 * (lasted // status.QUIET + 1)

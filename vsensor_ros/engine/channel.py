@@ -1,4 +1,9 @@
-"""One channel as its listeners see it: where its values come from, and how one source follows."""
+"""
+The life of one channel: where its values come from, why, since when, and how often that changed.
+
+Here alone it is decided what a channel *is*, as its listeners see it: 'real', 'silent' (healthy,
+but not heard), 'virtual' or 'none'.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +11,10 @@ from dataclasses import dataclass
 import math
 
 from vsensor_ros.engine.bumpless import Bumpless
+from vsensor_ros.engine.switch import Decision, Source
+from vsensor_ros.reason import Reason
 
-REAL = 'real'
-VIRTUAL = 'virtual'
+REAL, SILENT, VIRTUAL = 'real', 'silent', 'virtual'
 NONE = 'none'  # nothing, or something in place of a value: the last one, NaN, the failed reading
 
 
@@ -23,7 +29,7 @@ class Channel:
     name: str
     max_age: int  # of what went out, to be continued without a step
     blend: Bumpless  # what is left of the offset of the last switch
-    source: str = REAL  # of what goes out
+    source: str = REAL  # of what went out last: real, virtual or none
     fault_set: tuple[str, ...] = ()  # of the virtual sensor, if that is the source
     since: int | None = None  # the last switch
     virtual: int = 0  # in all in virtual mode, up to the last switch
@@ -31,6 +37,17 @@ class Channel:
     value: float = math.nan  # that went out last
     sent: int | None = None  # when
     readings: int = 0  # that came in
+    why: Reason | None = None  # there is no valid value of it, though there should be one
+
+    def state(self, decision: Decision, silent: Reason | None) -> tuple[str, Reason | None]:
+        """Return what it is, and why, given who is to serve it and why its driver is not heard."""
+        if decision.source is Source.REAL:
+            if silent is not None:
+                return SILENT, silent
+            return (REAL, decision.reason) if self.why is None else (NONE, self.why)
+        if self.why is None and decision.source is Source.VIRTUAL:
+            return VIRTUAL, decision.reason
+        return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
               above: float | None = None) -> float:

@@ -1,4 +1,4 @@
-"""What the replacer tells of itself: snapshots that others turn into messages."""
+"""What the engine tells of itself: snapshots that nobody can change."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.reason import Reason
 
 STILL = 1.0  # s of steady time without simulated time
 
@@ -18,44 +19,48 @@ class ChannelState:
     topic: str  # on which it goes out
     unit: str  # '' when the design gives none
     source: str  # 'real', 'silent' (healthy, but not heard), 'virtual' or 'none'
-    reason: str  # why it is silent or has no source, and what goes out instead; else ''
+    reason: Reason | None  # why, and what goes out instead; None: nothing to be said
     fault_set: tuple[str, ...]  # of the virtual sensor that serves; else the effective faulty set
     grade: str  # of that virtual sensor; '' when none serves
     value: float  # that went out last; NaN when none did
     deviation: float  # its standard deviation; 0 of a real one, inf when not known
+    interval: tuple[float, float] | None  # in which the truth lies, where that is known
     offset: float  # that is still on it, for no step at the switch
     switches: int  # of source, as seen on the topic
     last_step: float  # at the last switch: first value after - last before; NaN when there is none
     since_s: float  # with this source; NaN before the first switch
     virtual_s: float  # in all, with a virtual source
     forced: bool
+    isolated_s: float  # since isolation says that it is faulty; NaN when it does not
     recovering_s: float  # since it is reported healthy and not yet believed; NaN when it is not
+    residual: float  # last reading - estimate, while it is faulty; NaN when not known
     serves: VirtualSensor | None
-    counts: Mapping[str, int]  # what was not used or not sent on, by reason
-    rate_hz: float  # of the readings that come in
+    outside_region: bool  # that virtual sensor runs where nothing is proved of it
+    outside_domain: int  # steps of its virtual sensors with an argument that a function lacks
+    restarts: int  # of its virtual sensors, because a state became infinite
+    counts: Mapping[Reason, int]  # what was not used or not sent on
+    readings: int  # that came in
 
 
 @dataclass(frozen=True)
-class Health:
-    """How the loop keeps up; times in s."""
+class EngineState:
+    """All channels, and how the engine as a whole is doing."""
 
-    rate: float  # Hz, of the virtual sensors, as configured
-    achieved: float  # Hz, over the last ticks; NaN before there are two
-    step_p50: float  # computing time of the last ticks
-    step_p99: float
-    step_max: float
-    jitter_p99: float  # |interval - period| of the last ticks
-    overruns: int  # ticks left out
-    jumps: Mapping[str, int]  # of the clock, by way: 'backwards', 'forwards', 'stood still'
+    channels: tuple[ChannelState, ...]  # stream by stream
     faulty: tuple[str, ...]  # the effective set, in the design's order
     ticks: int
+    left_out: int  # ticks, because time had gone on too far
     estimates: int  # that went out
-    not_used: int  # messages of isolation that were not used, or not wholly
-    thrown_away: int = 0  # of these, not even read: too large, or too many
-    clock_age: float = 0.0  # since simulated time moved, by a steady clock
+    jumps: Mapping[str, int]  # of the clock, by way: 'backwards', 'forwards', 'stood still'
+    starts: int  # of all virtual sensors anew, after a jump or a reset
+    still: float  # s of steady time since simulated time moved; 0 of another clock
+
+    @property
+    def stopped(self) -> Reason | None:
+        """Say that simulated time stands still, when it does."""
+        return stopped(self.still)
 
 
-def stands_still(clock_age: float) -> str:
-    """Return in words that simulated time stands still, '' when it does not."""
-    return f'the clock stands still: no /clock since {clock_age:.1f} s' \
-        if clock_age > STILL else ''
+def stopped(still: float) -> Reason | None:
+    """Return the reason that simulated time stands still, when it has for so many s."""
+    return Reason.of('clock stands still', seconds=still) if still > STILL else None

@@ -14,15 +14,14 @@ from enum import Enum
 import math
 
 from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.reason import Reason
 
 FaultSet = tuple[str, ...]  # in the design's order
 Ready = Callable[[FaultSet, str], bool]
-WhyNot = Callable[[FaultSet, str], str | None]
+WhyNot = Callable[[FaultSet, str], Reason | None]
 
-_TOLD = 1_000_000_000  # ns between two wordings of one reason: what it says of times grows old
-_RECOVERY = {'automatic': 'healthy again, believed after {:g} s without a fault',
-             'hold': 'healthy again, held until cleared',
-             'latched': 'latched until reset'}
+_TOLD = 1_000_000_000  # ns between two looks at the reasons: what they say of times grows old
+_RECOVERY = {'automatic': 'recovering', 'hold': 'held', 'latched': 'latched'}  # reasons' codes
 
 
 class Source(Enum):
@@ -42,7 +41,7 @@ class Decision:
 
     source: Source
     fault_set: FaultSet = ()  # of the virtual sensor that serves
-    reason: str = ''  # one line
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True)
@@ -80,16 +79,11 @@ class Switch:
     when it becomes ready, because it reads more sensors. Whoever was given up during a fault
     because it was not ready must first be ready for the dwell without interruption, also when
     nobody serves.
-
-    `since` is the time [ns] at which each channel was last given to another, None before the
-    first; `switches` counts that. A new reason is no switch.
     """
 
     design: Design
     policies: Mapping[str, Policy]
     decisions: Mapping[str, Decision]
-    since: Mapping[str, int | None]
-    switches: Mapping[str, int]
     faulty: frozenset[str] = frozenset()
     reported: frozenset[str] = frozenset()
     silent: frozenset[str] = frozenset()
@@ -98,7 +92,7 @@ class Switch:
     # by faulty channel: who was given up because it was not ready, and since when it is again
     lost: Mapping[str, Mapping[FaultSet, int | None]] = field(default_factory=dict)
     latest: int = 0  # ns, of all times noted here: a clock that shows less was set back
-    told: int | None = None  # ns at which the reasons were put in words; None: not up to date
+    told: int | None = None  # ns at which the reasons were found; None: they are not up to date
     # by channel: the fault sets that it has a virtual sensor for, the smallest first
     designed: Mapping[str, tuple[tuple[frozenset[str], FaultSet], ...]] = field(
         default_factory=dict)
@@ -112,8 +106,7 @@ class Switch:
             if v.channel in designed:  # no wanted functional
                 designed[v.channel].append(v.fault_set)
         return cls(design, _complete(design, policies or {}),
-                   dict.fromkeys(names, Decision(Source.REAL)), dict.fromkeys(names),
-                   dict.fromkeys(names, 0),
+                   dict.fromkeys(names, Decision(Source.REAL)),
                    designed={s: tuple((frozenset(key), key) for key in sorted(keys, key=len))
                              for s, keys in designed.items()})
 
@@ -215,7 +208,7 @@ class Switch:
         Decide who serves each channel now; to be called after events and at each tick.
 
         ready tells whether a virtual sensor, given by its fault set and channel, may serve;
-        why_not says in words why it may not. A dwell that began after `time` begins then: a clock
+        why_not says why it may not. A dwell that began after `time` begins then: a clock
         that was set back delays a recovery by no more than the dwell.
         """
         if not self.faulty and not self.forced and time >= self.latest:
@@ -234,14 +227,13 @@ class Switch:
         may = {s: self._candidates(faulty, s) for s in self.sensors if s in faulty}
         servers = {s: self._choose(s, may[s], len(may), may_serve) for s in may}
         servers.update(dict.fromkeys(self.faulty - faulty, _REAL))
-        changed = [s for s, server in servers.items()
-                   if server != (self.decisions[s].source, self.decisions[s].fault_set)]
+        changed = any(server != (self.decisions[s].source, self.decisions[s].fault_set)
+                      for s, server in servers.items())
         if not changed and faulty == self.faulty and lost == self.lost and not ended and \
                 self.told is not None and 0 <= time - self.told < _TOLD:
             return self
         new = replace(self, faulty=faulty, forced=self.forced - ended, lost=lost, latest=time,
-                      told=time, since={**self.since, **dict.fromkeys(changed, time)},
-                      switches={s: n + (s in changed) for s, n in self.switches.items()})
+                      told=time)
         decisions = {s: new._decision(s, *servers.get(s, _REAL), blocked, why_not)
                      for s in self.sensors}
         return replace(new, decisions=decisions)
@@ -269,8 +261,7 @@ class Switch:
             self, latest=time, told=None,
             recovering={s: min(t, time) for s, t in self.recovering.items()},
             lost={s: {key: None if t is None else min(t, time) for key, t in keys.items()}
-                  for s, keys in self.lost.items()},
-            since={s: None if t is None else min(t, time) for s, t in self.since.items()})
+                  for s, keys in self.lost.items()})
 
     def _dwell(self, name: str) -> int:
         return round(self.policies[name].dwell * 1e9)
@@ -334,7 +325,7 @@ class Switch:
                 return Source.VIRTUAL, key
         return Source.NONE, ()
 
-    # -------------------------------------------------------------------------------- words
+    # ------------------------------------------------------------------------------ reasons
 
     def _without_notes(self, names: Iterable[str]) -> dict[str, Decision]:
         decisions = dict(self.decisions)
@@ -345,57 +336,60 @@ class Switch:
 
     def _decision(self, name: str, source: Source, fault_set: FaultSet,
                   blocked: Mapping[str, str], why_not: WhyNot) -> Decision:
-        """Put in one line why the channel is served as it is."""
+        """Add why the channel is served as it is."""
+        reason: Reason | None = None
         if name in blocked:
             harmed = blocked[name]
-            reason = ('force waits: ' if name in self.forced else 'force ended: ') + \
-                ('' if harmed == name else f'{harmed}: ') + \
-                self._lack(harmed, self.faulty | {name}, why_not)
+            code = 'force waits' if name in self.forced else 'force ended'
+            why = self._lack(harmed, self.faulty | {name}, why_not)
+            reason = Reason.of(code, why=why) if harmed == name else \
+                Reason.of(f'{code} for another', harmed=harmed, why=why)
         elif source is Source.NONE:
             reason = self._lack(name, self.faulty, why_not)
         elif source is Source.VIRTUAL:
             reason = self._why(name)
             if len(fault_set) > len(self.faulty):
                 exact = tuple(s for s in self.sensors if s in self.faulty)
-                reason += f'; {self._lack_of(exact, name, why_not)}'
+                reason = Reason.of('served by a superset', why=reason,
+                                   exact=self._lack_of(exact, name, why_not))
         elif self.decisions[name].source is source and name not in self.forced:
             return self.decisions[name]  # with the note, if any, that a force ended
-        else:
-            reason = ''
         return Decision(source, fault_set, reason)
 
-    def _lack(self, name: str, faulty: frozenset[str], why_not: WhyNot) -> str:
-        """Say why neither the exact set's virtual sensor serves nor the next best."""
+    def _lack(self, name: str, faulty: frozenset[str], why_not: WhyNot) -> Reason:
+        """Return why neither the exact set's virtual sensor serves nor the next best."""
         exact = tuple(s for s in self.sensors if s in faulty)
-        text = self._lack_of(exact, name, why_not)
+        lack = self._lack_of(exact, name, why_not)
         for key in self._candidates(faulty, name):
             if key != exact:
-                return f'{text}; that for {", ".join(key)}: {self._lack_of(key, name, why_not)}'
-        return text
+                return Reason.of('next best', exact=lack, fault_set=key,
+                                 next=self._lack_of(key, name, why_not))
+        return lack
 
-    def _lack_of(self, fault_set: FaultSet, name: str, why_not: WhyNot) -> str:
+    def _lack_of(self, fault_set: FaultSet, name: str, why_not: WhyNot) -> Reason:
         entry = self.design.entries.get((fault_set, name))
         if isinstance(entry, Refusal):
-            return entry.reason
+            return Reason.of('refused', text=entry.reason)
         if entry is not None:
             again = self.lost.get(name, {}).get(fault_set)
             if again is not None:
-                return (f'ready again for {(self.latest - again) * 1e-9:.1f} s, serves after '
-                        f'{self.policies[name].dwell:.1f} s')
-            return why_not(fault_set, name) or 'was not ready until just now'
-        failed = (s if s in self.reported else f'{s} ({self._why(s)})' for s in fault_set)
-        return f'no design for the faulty sensors {", ".join(failed)}'
+                return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
+                                 dwell=self.policies[name].dwell)
+            return why_not(fault_set, name) or Reason('ready just now')
+        return Reason.of('no design', failed=tuple(
+            s if s in self.reported else Reason.of('named', name=s, why=self._why(s))
+            for s in fault_set))
 
-    def _why(self, name: str) -> str:
-        """Say why a faulty sensor is not believed."""
+    def _why(self, name: str) -> Reason:
+        """Return why a faulty sensor is not believed."""
         if name in self.reported:
-            return 'isolated'
+            return Reason('isolated')
         if name in self.failed:
-            return 'silent'
+            return Reason('silent')
         if name in self.recovering:
             policy = self.policies[name]
-            return _RECOVERY[policy.recovery].format(policy.dwell)
-        return 'forced'
+            return Reason.of(_RECOVERY[policy.recovery], dwell=policy.dwell)
+        return Reason('forced')
 
 
 def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:

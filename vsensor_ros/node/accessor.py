@@ -19,12 +19,13 @@ from typing import Any, NamedTuple
 from ament_index_python.resources import get_resource, get_resources, InvalidResourceNameError
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.reason import Reason
 
 INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's messages
 NAME_ARRAYS = ('name', 'joint_names')  # fields that give names to the arrays beside them
 LONGEST = 2**16  # elements of an array that a message is made room for; an index lies below
 LARGEST_FLOAT = {'float': 3.4028234663852886e38, 'double': math.inf}
-NOT_THERE, TOO_SHORT = '{} is not in the message', 'the array is too short for {}'
+NOT_THERE, TOO_SHORT = 'not in the message', 'too short'  # codes of reasons
 
 _TYPE = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
 _STEP = re.compile(r'([A-Za-z][A-Za-z0-9_]*)(?:\[([^\[\]]+)\])?')  # field, field[element]
@@ -42,9 +43,9 @@ class Accessor:
     """One numeric field of a message type, compiled."""
 
     path: str  # as configured
-    get: Callable[[Any], float | str]  # the number, or the reason why there is none
-    put: Callable[[Any, float], str | None]  # None when written, or the reason why it was not
-    fit: Callable[[float], float | int | str]  # what the field would hold, or why it cannot
+    get: Callable[[Any], float | Reason]  # the number, or the reason why there is none
+    put: Callable[[Any, float], Reason | None]  # None when written, or the reason why it was not
+    fit: Callable[[float], float | int | Reason]  # what the field would hold, or why it cannot
     absent: Callable[[Any], bool]  # lacks the name of it; may be sound all the same
     names: Callable[[Any], Collection[str]]  # those among which its name is, or should be
 
@@ -267,17 +268,17 @@ def _make_room(holder: Any, step: Step) -> int:
 
 
 def _leaf(path: str, steps: Sequence[Step]) -> tuple[
-        Callable[[Any], float | str], Callable[[Any, float], str | None],
-        Callable[[float], float | int | str]]:
+        Callable[[Any], float | Reason], Callable[[Any, float], Reason | None],
+        Callable[[float], float | int | Reason]]:
     """Return get, put and fit of the field at the end of a path."""
     find, last = compile_holder(steps[:-1]), steps[-1]
     field = last.field
     index = None if last.element is None else _compile_index(last)
     growing = last.type.is_sequence and last.type.inner in LARGEST_FLOAT
-    missing, too_short = NOT_THERE.format(path), TOO_SHORT.format(path)
+    missing, too_short = Reason.of(NOT_THERE, field=path), Reason.of(TOO_SHORT, field=path)
     convert = _conversion(last.type.inner)
 
-    def get(message: Any) -> float | str:
+    def get(message: Any) -> float | Reason:
         holder = find(message)
         if holder is None:
             return missing
@@ -289,17 +290,17 @@ def _leaf(path: str, steps: Sequence[Step]) -> tuple[
             return missing
         return float(value[i]) if i < len(value) else too_short
 
-    def fit(value: float) -> float | int | str:
+    def fit(value: float) -> float | int | Reason:
         fitted = convert(value)
-        return f'{value:g} does not fit into {path} ({last.type.inner})' if fitted is None \
-            else fitted
+        return Reason.of('does not fit', value=f'{value:g}', field=path, type=last.type.inner) \
+            if fitted is None else fitted
 
-    def put(message: Any, value: float) -> str | None:
+    def put(message: Any, value: float) -> Reason | None:
         holder = find(message)
         if holder is None:
             return missing
         fitted = fit(value)
-        if isinstance(fitted, str):
+        if isinstance(fitted, Reason):
             return fitted
         if index is None:
             setattr(holder, field, fitted)

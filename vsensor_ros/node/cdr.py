@@ -34,6 +34,7 @@ from vsensor_ros.node.accessor import (
     TOO_SHORT,
     trace,
 )
+from vsensor_ros.reason import Reason
 
 LAYOUTS = 16  # kept of one topic: so many drivers may share it and stay cheap
 LONGEST_LAYOUT = 2**16  # bytes that settle it; longer ones are walked through every time
@@ -52,7 +53,7 @@ class Reading(NamedTuple):
     """What a message says of the fields of a reader, in their order."""
 
     stamp: int | None  # ns, the header's; None when the type has none or it is not filled in
-    values: tuple[float | str, ...]  # the number, or the reason why there is none
+    values: tuple[float | Reason, ...]  # the number, or the reason why there is none
     foreign: bool  # lacks the names of all the fields; may be sound all the same
     offsets: tuple[int | None, ...]  # of the numbers in the bytes, where known
 
@@ -93,7 +94,7 @@ class Reader:
         found = self._walk(self._root, raw)
         return None if found is None else found.read(raw)
 
-    def write(self, raw: bytes, reading: Reading, values: Mapping[int, float]) -> bytes | str:
+    def write(self, raw: bytes, reading: Reading, values: Mapping[int, float]) -> bytes | Reason:
         """
         Return the message of a reading with some of its fields changed, or why it cannot be.
 
@@ -106,12 +107,12 @@ class Reader:
             if offset is None:
                 return self._rewrite(raw, values)
             fitted = self.accessors[i].fit(value)
-            if isinstance(fitted, str):
+            if isinstance(fitted, Reason):
                 return fitted
             struct.pack_into('<' + self._letters[i], patched, offset, fitted)
         return bytes(patched)
 
-    def _rewrite(self, raw: bytes, values: Mapping[int, float]) -> bytes | str:
+    def _rewrite(self, raw: bytes, values: Mapping[int, float]) -> bytes | Reason:
         message = decode(self.kind, raw)
         for i, value in values.items():
             problem = self.accessors[i].put(message, value)
@@ -147,7 +148,7 @@ class Reader:
         ranks = [place.lack if place.offset is None else order.index(place.offset)
                  for place in places]
         count = len(self.accessors)
-        picks = tuple(rank.format(accessor.path) if isinstance(rank, str) else rank
+        picks = tuple(Reason.of(rank, field=accessor.path) if isinstance(rank, str) else rank
                       for rank, accessor in zip(ranks, self.accessors))
         first = len(order) - count
         plain = picks == tuple(range(first, len(order))) and set(self._letters[:count]) <= {*'fd'}
@@ -177,7 +178,7 @@ class _Layout(NamedTuple):
     end: int  # anything may follow
     runs: tuple[_Run, ...]
     numbers: struct.Struct  # of the fields and the stamp, in the order of their offsets
-    picks: tuple[int | str, ...]  # of each field: its rank among the numbers, or its reason
+    picks: tuple[int | Reason, ...]  # of each field: its rank among the numbers, or its reason
     first: int | None  # rank of the first field, when they are just the last numbers, and floats
     stamp: tuple[Any, Any] | None  # ranks of seconds and nanoseconds
     foreign: bool
@@ -199,7 +200,7 @@ class _Layout(NamedTuple):
         if self.first is not None:
             values = numbers[self.first:]
         else:
-            values = tuple([pick if isinstance(pick, str) else float(numbers[pick])
+            values = tuple([pick if isinstance(pick, Reason) else float(numbers[pick])
                             for pick in self.picks])
         stamp = None
         if self.stamp is not None:

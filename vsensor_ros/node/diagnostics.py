@@ -14,9 +14,10 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from vsensor_ros.engine.state import ChannelState, Health, stands_still
+from vsensor_ros.engine.state import ChannelState, EngineState
 from vsensor_ros.engine.switch import Policy
 from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.reason import Reason
 
 LEVELS = {
     'real': DiagnosticStatus.OK,
@@ -78,13 +79,12 @@ def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> R
     """Say what a channel does and why; `sharing` are the channels in the same message."""
     name, source = channel.name, channel.source
     if source == 'real':
-        parts = ['real', *([channel.reason] if channel.reason else [])]  # of a force that waits
+        parts = ['real', *([str(channel.reason)] if channel.reason else [])]  # a force waits
     elif source == 'silent':
-        parts = [channel.reason, f'check the driver of {name}']
+        parts = [str(channel.reason), f'check the driver of {name}']
     elif source == 'virtual':
-        why, _, instead = channel.reason.partition('; ')  # of a better one that is not ready
-        parts = [_virtual(channel, why), *([instead] if instead else []),
-                 *_remedies(channel, scene)]
+        why, *more = _taken_apart(channel.reason)
+        parts = [_virtual(channel, why), *map(str, more), *_remedies(channel, scene)]
     elif name in scene.faulty:
         parts = [f'no valid source ({channel.reason})', *_remedies(channel, scene)]
         if (scene.faulty, name) not in scene.design.entries:
@@ -104,10 +104,20 @@ def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> R
     return Report(name, level, '; '.join(parts), channel.topic, source)
 
 
-def _virtual(channel: ChannelState, why: str) -> str:
+def _taken_apart(reason: Reason | None) -> list[Reason | None]:
+    """Return why a sensor is not believed, then what else there is to say of its estimate."""
+    if reason is not None and reason.code == 'both':
+        return [*_taken_apart(reason.fact('first')), reason.fact('second')]
+    if reason is not None and reason.code == 'served by a superset':
+        return [reason.fact('why'), reason.fact('exact')]
+    return [reason]
+
+
+def _virtual(channel: ChannelState, why: Reason | None) -> str:
     serves = channel.serves
     text = 'virtual'
-    if why and not channel.forced and math.isnan(channel.recovering_s):  # else the remedy says it
+    # of a force and of a recovery the remedy says it
+    if why is not None and not channel.forced and math.isnan(channel.recovering_s):
         text += f' ({why})'
     if serves is None:
         return text
@@ -138,14 +148,14 @@ def _remedies(channel: ChannelState, scene: Scene) -> list[str]:
     return remedies or [f'repair {name}']
 
 
-def describe_loop(health: Health, state: str, left_out: int, complaints: Collection[str],
+def describe_loop(engine: EngineState, state: str, left_out: int, complaints: Collection[str],
                   thrown_away: int = 0) -> Report:
     """Say how the node keeps up, in a state of STATES; left_out and thrown_away: lately."""
     parts = [STATES[state]]
-    if state == 'active' and health.ticks == 0:
+    if state == 'active' and engine.ticks == 0:
         parts.append('no tick yet; with use_sim_time, check that /clock is published')
-    elif state == 'active' and (stopped := stands_still(health.clock_age)):
-        parts.append(f'{stopped}; nothing virtual goes out until it moves on')
+    elif state == 'active' and engine.stopped is not None:
+        parts.append(f'{engine.stopped}; nothing virtual goes out until it moves on')
     if left_out:
         parts.append(f'{left_out} ticks left out in {WINDOW:g} s: this computer is too busy; '
                      'lower the rate, or give the node more of it')
@@ -157,8 +167,8 @@ def describe_loop(health: Health, state: str, left_out: int, complaints: Collect
     return Report(LOOP, level, '; '.join(parts), '', state)
 
 
-def channel_facts(channel: ChannelState, scene: Scene) -> dict[str, object]:
-    """Return what somebody who looks closer at a channel wants to know."""
+def channel_facts(channel: ChannelState, scene: Scene, rate: float) -> dict[str, object]:
+    """Return what somebody who looks closer at a channel wants to know; rate [Hz] of readings."""
     facts: dict[str, object] = {
         'source': channel.source,
         'faulty sensors': ', '.join(scene.faulty) or 'none',
@@ -172,7 +182,14 @@ def channel_facts(channel: ChannelState, scene: Scene) -> dict[str, object]:
     if channel.serves is not None:
         facts.update({'fault set': ', '.join(channel.fault_set), 'grade': channel.grade,
                       'order': channel.serves.order, 'method': channel.serves.method})
-    return {**facts, 'readings [Hz]': number(channel.rate_hz), **channel.counts}
+    if channel.outside_region:
+        facts['outside its region'] = 'yes: its convergence is not proved there'
+    if channel.outside_domain:
+        facts['steps outside a domain'] = channel.outside_domain
+    if channel.restarts:
+        facts['restarts, infinite'] = channel.restarts
+    return {**facts, 'readings [Hz]': number(rate), **{
+        str(why): count for why, count in channel.counts.items()}}
 
 
 def number(value: float) -> str:

@@ -1,116 +1,78 @@
-"""What comes in: from messages to the bank, and on to the streams. Times are in ns."""
+"""What comes in: from messages to events of the engine, and on to the outputs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import traceback
+from typing import Any
 
 from rclpy.subscription import Subscription
 
-from vsensor_ros.bank import Bank
-from vsensor_ros.engine.channel import Channel
-from vsensor_ros.engine.clock import NodeClock
+from vsensor_ros.engine.engine import Engine
+from vsensor_ros.engine.events import Forward
 from vsensor_ros.node.cdr import Reader
+from vsensor_ros.node.endpoints import Command
 from vsensor_ros.node.log import Log
-from vsensor_ros.node.parameters import Command
 from vsensor_ros.node.polling import DEPTH
-from vsensor_ros.node.reports import UNREADABLE
-from vsensor_ros.node.topics import Stream
+from vsensor_ros.node.private_rclpy import taker
+from vsensor_ros.node.topics import Topic
+from vsensor_ros.reason import Reason
 
-SLOW = 3  # intervals longer than max_age in a row that make a slow sensor of a silent one
+UNREADABLE = Reason('unreadable')
 
 
-class Intake:
-    """Takes readings and commands. What is not used is counted, by channel and reason."""
-
-    def __init__(self, bank: Bank, clock: NodeClock, log: Log) -> None:
-        self.held: dict[str, float] = {}  # by sensor: the last value worth holding
-        self._bank, self._clock, self._log = bank, clock, log
-        self._last: dict[str, int] = {}  # by sensor: its last stamp
-        self._long: dict[str, int] = {}  # by sensor: long intervals in a row
-        self._slow: set[str] = set()  # sensors that were said to be
-
-    def forget(self) -> None:
-        """Begin anew after the clock jumped."""
-        self._last.clear()
-        self._long.clear()
-
-    def take_readings(self, stream: Stream) -> int:
-        """Take what has arrived on a stream; return how many messages."""
-        take, kind, count = stream.subscription.handle.take_message, stream.kind, 0
-        while count < DEPTH and (taken := take(kind, True)) is not None:
-            count += 1
-            try:
-                self._hear(stream, taken[0], taken[1]['received_timestamp'])
-            except Exception as error:  # nothing that is wrong with one message ends the others
-                self._log.count(stream.names[0],
-                                f'a mistake of this node ({type(error).__name__})')
-                self._log.say(traceback.format_exc(), subject=(stream.names, type(error)))
-        return count
-
-    def take_commands(self, command: Command, reader: Reader, subscription: Subscription) -> int:
-        """Take what has arrived of a command; return how many messages."""
-        take, kind, count = subscription.handle.take_message, command.kind, 0
-        while count < DEPTH and (taken := take(kind, True)) is not None:
-            count += 1
-            reading = reader.read(taken[0])
-            value = UNREADABLE if reading is None else reading.values[0]
-            if reading is None or isinstance(value, str):
-                self._log.count(command.name, str(value))
-                continue
-            stamp = reading.stamp or self._unstamped(taken[1]['received_timestamp'])
-            if stamp:
-                reason = self._bank.take(command.name, stamp, value, self._clock.now)
-                if reason is not None:
-                    self._log.count(command.name, reason)
-        return count
-
-    def _hear(self, stream: Stream, raw: bytes, received: int) -> None:
-        """Send a message on, then give what it says to the bank."""
-        reading = stream.reader.read(raw)
-        if reading is None:
-            stream.lacks(UNREADABLE, self._clock.now)
-            self._log.count(stream.names[0], UNREADABLE)
-            return
+def take_readings(topic: Topic, engine: Engine, log: Log) -> int:
+    """Take what has arrived on a topic; return how many messages."""
+    take, kind, count = topic.take, topic.kind, 0
+    while count < DEPTH and (taken := take(kind, True)) is not None:
+        count += 1
         try:
-            problem = stream.accept(raw, reading)
-        except RuntimeError as error:  # RCLError
-            problem = 'not sent: ' + str(error).partition(', at ')[0]
-        if problem is not None:
-            self._log.count(stream.names[0], problem)
-        stamp = reading.stamp or self._unstamped(received)
-        for channel, value in zip(stream.channels, reading.values):
-            if value.__class__ is float:
-                channel.readings += 1
-                if stamp:
-                    self._feed(channel, stamp, value)
-            elif not reading.foreign and not (
-                    value in stream.absent and stream.fresh(channel.name, self._clock.now)):
-                self._log.count(channel.name, str(value))  # no other driver sends it, either
+            _hear(topic, engine, taken[0], taken[1]['received_timestamp'])
+        except Exception as error:  # nothing that is wrong with one message ends the others
+            name = topic.sensors[0].name
+            engine.count(name, Reason.of('mistake', error=type(error).__name__))
+            log.say(traceback.format_exc(), subject=(name, type(error)))
+    return count
 
-    def _unstamped(self, received: int) -> int:
-        """Return the time that counts for a message without a stamp; 0: time has not begun."""
-        return self._clock.now if self._clock.simulated else received
 
-    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
-        name = channel.name
-        reason = self._bank.take(name, stamp, value, self._clock.now)
-        if reason is None:
-            self.held[name] = value
-            before, self._last[name] = self._last.get(name, stamp), stamp
-            if stamp - before > channel.max_age:
-                self._time(channel, stamp - before)
-            elif name in self._long:
-                del self._long[name]
-        elif reason != 'isolated':  # what it says then is not worth a word
-            self._log.count(name, reason)
+def _hear(topic: Topic, engine: Engine, raw: bytes, received: int) -> None:
+    """Send a message on, then give what it says to the engine."""
+    reading = topic.reader.read(raw)
+    if reading is None:
+        engine.unreadable(topic.index)
+        return
+    related = None
+    if reading.foreign and (templates := engine.failed_templates(topic.index)):
+        related = topic.related(raw, templates)
+    verdict = engine.judge(topic.index, reading, raw, related)
+    if verdict.__class__ is Forward:
+        try:
+            topic.forward(raw, reading, verdict)  # type: ignore[arg-type]
+        except RuntimeError as error:
+            engine.count(topic.sensors[0].name, not_sent(error))
+    engine.learn(topic.index, reading, received)
 
-    def _time(self, channel: Channel, interval: int) -> None:
-        """Say once when a sensor is slower than the silence that makes it invalid."""
-        name = channel.name
-        self._long[name] = self._long.get(name, 0) + 1
-        if self._long[name] == SLOW and name not in self._slow:
-            self._slow.add(name)
-            self._log.say(
-                f'{name}: its readings are {interval * 1e-9:.3g} s apart, so between them it '
-                f'counts as silent after {channel.max_age * 1e-9:.3g} s; raise max_age',
-                'warning')
+
+def commands_taker(command: Command, subscription: Subscription, engine: Engine,
+                   ) -> tuple[Reader, Callable[[], int]]:
+    """Return what takes the commands that have arrived, and the reader that it uses."""
+    take, kind = taker(subscription), command.kind
+    reader = Reader(kind, [command.accessor.path])
+
+    def take_commands() -> int:
+        count = 0
+        taken: Any
+        while count < DEPTH and (taken := take(kind, True)) is not None:
+            count += 1
+            reading, received = reader.read(taken[0]), taken[1]['received_timestamp']
+            if reading is None:
+                engine.command(command.name, UNREADABLE, None, received)
+            else:
+                engine.command(command.name, reading.values[0], reading.stamp, received)
+        return count
+    return reader, take_commands
+
+
+def not_sent(error: RuntimeError) -> Reason:
+    """Return the reason that the middleware (RCLError) gives for not sending a message."""
+    return Reason.of('not sent', text=str(error).partition(', at ')[0])

@@ -26,16 +26,17 @@ from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.engine.settings import Live
 from vsensor_ros.node.loop import run
 from vsensor_ros.node.parameters import (
     check_addressed,
     check_files,
-    Live,
     read,
     Refused,
     Settings,
     watch,
 )
+from vsensor_ros.node.private_rclpy import end_state_machine, lacking
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.services import offer
 from vsensor_ros.node.status import Reporter
@@ -82,7 +83,7 @@ class ManagedNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Destroy the state machine, too, which rclpy forgets: it would keep the node alive."""
-        self._state_machine.destroy_when_not_in_use()
+        end_state_machine(self)
         super().destroy_node()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -123,6 +124,9 @@ class ManagedNode(LifecycleNode):
         return SUCCESS
 
     def _configure(self) -> None:
+        if missing := lacking():
+            raise Refused([BadInput(self.get_fully_qualified_name(), 'rclpy', f'lacks {part}',
+                                    'use the one of ROS 2 Jazzy') for part in missing])
         settings = read(self)
         before = self._entities()
         try:

@@ -1,20 +1,18 @@
 """
 The loop: waits for messages and for the time of the next tick, and polls.
 
-It waits on rclpy's own wait set, as `rclpy.wait_for_message` does. When much arrives it does not
-wait for each message but sleeps a little, and takes together what came meanwhile: waking costs
-more than a message does.
+When much arrives it does not wait for each message but sleeps a little, and takes together what
+came meanwhile: waking costs more than a message does.
 """
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Iterable
 import sys
 from threading import Event
 import time
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-
+from vsensor_ros.node.private_rclpy import Waiting
 from vsensor_ros.node.replacer import Replacer
 
 LONGEST = 50_000_000  # ns of a wait: that soon it sees that it is to stop
@@ -27,14 +25,8 @@ SWITCH_INTERVAL = 0.0001  # s that another thread may keep the interpreter from 
 def run(replacer: Replacer, stop: Event, active: Event) -> None:
     """Poll until told to stop, or not active any more."""
     sys.setswitchinterval(SWITCH_INTERVAL)
-    with ExitStack() as stack:
-        handles = [subscription.handle for subscription in replacer.subscriptions]
-        for handle in handles:
-            stack.enter_context(handle)  # once, so that nobody destroys it meanwhile
-        waiting = _rclpy.WaitSet(len(handles), 0, 0, 0, 0, 0, replacer.node.context.handle)
-        stack.enter_context(waiting)
-        ready: list[int] | None = None  # all, at first
-        simulated = replacer.clock.simulated
+    with Waiting(replacer.subscriptions, replacer.node.context) as waiting:
+        ready: Iterable[int] | None = None  # all, at first
         interval, last = 10 * OFTEN, time.monotonic_ns()  # between messages, in the mean
         while active.is_set() and not stop.is_set():
             begin = time.monotonic_ns()
@@ -42,15 +34,11 @@ def run(replacer: Replacer, stop: Event, active: Event) -> None:
             if taken:
                 interval += ((begin - last) // taken - interval) // 16
                 last = begin
-            left = LONGEST if simulated else max(0, min(
-                LONGEST, replacer.ticks.due - time.time_ns()))
+            left = LONGEST if replacer.simulated else max(0, min(
+                LONGEST, replacer.due - time.time_ns()))
             if interval < OFTEN and begin - last < LONGEST_PAUSE:
                 work = time.monotonic_ns() - begin
                 time.sleep(min(max(OFTEN, SHARE * work), LONGEST_PAUSE, left) * 1e-9)
                 ready = None
                 continue
-            waiting.clear_entities()
-            for handle in handles:
-                waiting.add_subscription(handle)
-            waiting.wait(left)
-            ready = waiting.get_ready_entities('subscription')
+            ready = waiting.wait(left)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 import math
 import time
 
@@ -10,12 +11,24 @@ LAST = 1000  # ticks that the figures are of
 AWAKE = 150_000  # ns before the time, from which on it waits awake: a sleep ends late
 
 
+@dataclass(frozen=True)
+class Health:
+    """How the loop keeps up, and what it had no use for; times in s."""
+
+    rate: float  # Hz, of the virtual sensors, as configured
+    achieved: float  # Hz, over the last ticks; NaN before there are two
+    step_p50: float  # computing time of the last ticks
+    step_p99: float
+    step_max: float
+    jitter_p99: float  # |interval - period| of the last ticks
+    not_used: int  # messages of isolation that were not used, or not wholly
+    thrown_away: int  # of these, not even read: too large, or too many
+
+
 class Pace:
     """When the last ticks began and what they cost [ns]."""
 
     def __init__(self) -> None:
-        self.ticks = 0
-        self.overruns = 0  # ticks left out
         self._begun: deque[int] = deque(maxlen=LAST)
         self._spent: deque[int] = deque(maxlen=LAST)
         self._before = 0  # spent before it waited
@@ -26,7 +39,6 @@ class Pace:
 
     def begin(self) -> None:
         """Note that a tick begins."""
-        self.ticks += 1
         self._before = 0
         self._begun.append(time.perf_counter_ns())
 

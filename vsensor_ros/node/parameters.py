@@ -19,29 +19,20 @@ from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import Policy
+from vsensor_ros.engine.settings import Live
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN
 from vsensor_ros.node.qos import QOS, qos_parameters
 from vsensor_ros.observers.virtual_sensor import Design
 
-__all__ = ['DIAGNOSTICS', 'Command', 'Live', 'Refused', 'Sensor', 'Settings', 'check_addressed',
+__all__ = ['DIAGNOSTICS', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
            'check_files', 'read', 'watch']
 
 LONGEST_NAME = 100  # characters of a sensor's name, which services have in theirs
 LARGEST_NUMBER = 1000  # of sensors and commands: each is a topic or two, and a dozen parameters
 MOST_LISTED = 10  # of what can be wrong without end: names that there are not, and answers
 JUMP = 10  # periods that a clock may jump ahead at least
-
-
-@dataclass(frozen=True)
-class Live:
-    """What may change while the node runs."""
-
-    without_estimate: str  # 'stop', 'hold', 'nan' or 'pass'
-    time_constant: float  # s of the decay of an offset at a switch; 0: a plain switch
-    policies: Mapping[str, Policy]  # by sensor
-    max_deviation: Mapping[str, float]  # by sensor, in its unit; 0: no limit
 
 
 @dataclass(frozen=True)

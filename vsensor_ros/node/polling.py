@@ -17,6 +17,7 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
 from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.private_rclpy import taker
 from vsensor_ros.node.qos import qos_options
 
 DEPTH = 200  # messages kept between two polls, and taken at most in one
@@ -63,7 +64,7 @@ def drain(subscription: Subscription, most: int = DEPTH) -> list[tuple[bytes, di
 
     Mostly nothing has arrived, so that must cost little.
     """
-    take, kind = subscription.handle.take_message, subscription.msg_type
+    take, kind = taker(subscription), subscription.msg_type
     arrived: list[tuple[bytes, dict[str, Any]]] = []
     while len(arrived) < most and (taken := take(kind, True)) is not None:
         arrived.append(taken)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 import time
-from typing import Any
+from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -20,40 +20,97 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from vsensor_ros.engine import isolation
+from vsensor_ros.engine.events import Report
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.polling import DEPTH, drain, LISTEN_RELIABLY, Polled, subscribe
+from vsensor_ros.reason import Reason
 
 LATE = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                   durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MOST = 50  # messages looked at in one poll; the rest wait
-UNREADABLE = 'bytes that are not a message of the type'
 _TWICE = 4 * DEPTH  # live messages remembered until the other subscription has heard them, too
 
 
-class Reports:
-    """What isolation says, from both subscriptions."""
+class Wording(Protocol):
+    """How messages of one type say which sensors are faulty."""
 
-    def __init__(self, node: Node, group: Polled, topic: str, kind: Any,
-                 sensors: Collection[str], shared: bool, say: Callable[[str, str], None]) -> None:
-        """Open the topic; shared: others speak there of other things, too. say: error, subject."""
-        self.kind, self.topic = kind, topic
-        self._sensors, self._shared, self._say = sensors, shared, say
-        self._live = subscribe(node, group, kind, topic, LISTEN_RELIABLY)
+    kind: Any  # the message class
+    shared: bool  # others speak on the topic of other things, too
+
+    def concerns(self, raw: bytes) -> bool:
+        """Tell whether a serialized message may name a sensor; cheap."""
+
+    def understand(self, message: Any, faulty: frozenset[str],
+                   ) -> tuple[isolation.Isolation, frozenset[str]]:
+        """Return the faulty sensors after a message, and of which sensors it speaks."""
+
+
+class Statuses:
+    """DiagnosticArray: a status for each sensor that is spoken of."""
+
+    kind = DiagnosticArray
+
+    def __init__(self, sensors: Collection[str], shared: bool) -> None:
+        self.shared, self._sensors = shared, frozenset(sensors)
+        self._ordered = tuple(sensors)
+
+    def concerns(self, raw: bytes) -> bool:
+        """Tell whether a serialized message may name a sensor; cheap."""
+        return isolation.names_one(raw, self._ordered)
+
+    def understand(self, message: Any, faulty: frozenset[str],
+                   ) -> tuple[isolation.Isolation, frozenset[str]]:
+        """Return the faulty sensors after a message, and of which sensors it speaks."""
+        return (isolation.from_statuses(((s.name, s.level) for s in message.status),
+                                        self._ordered, faulty, self.shared),
+                self._sensors.intersection(s.name for s in message.status))
+
+
+class Text:
+    """String: the names of all faulty sensors."""
+
+    kind, shared = String, False
+
+    def __init__(self, sensors: Collection[str]) -> None:
+        self._sensors = tuple(sensors)
+
+    def concerns(self, raw: bytes) -> bool:
+        """Tell whether a serialized message may name a sensor; cheap."""
+        return isolation.names_one_in_text(raw, self._sensors)
+
+    def understand(self, message: Any, faulty: frozenset[str],
+                   ) -> tuple[isolation.Isolation, frozenset[str]]:
+        """Return the faulty sensors after a message, which speaks of all."""
+        return (isolation.from_text(message.data, self._sensors, faulty),
+                frozenset(self._sensors))
+
+
+class Reports:
+    """A source of isolation: what its topic says, from both subscriptions."""
+
+    def __init__(self, node: Node, group: Polled, topic: str, wording: Wording,
+                 say: Callable[[str, str], None]) -> None:
+        """Open the topic. say: is told an error and its subject."""
+        self.topic, self._wording, self._say = topic, wording, say
+        self._live = subscribe(node, group, wording.kind, topic, LISTEN_RELIABLY)
         # the parameters of the topic's QoS are those of the other one
-        self._late = subscribe(node, group, kind, topic, LATE, overridden=False)
+        self._late = subscribe(node, group, wording.kind, topic, LATE, overridden=False)
         self.subscriptions: tuple[Subscription, ...] = (self._live, self._late)
+        self._faulty: dict[str, int] = {}  # with the time since which they are
         self._heard: dict[tuple[int, bytes], None] = {}
         self._said: dict[str, int] = {}  # by sensor: when its last message was sent
         self._allowances = {  # by whether a message names a sensor
             True: isolation.Allowance(),
             False: isolation.Allowance(isolation.STRANGERS, rate=isolation.STRANGERS)}
-        self._names_one = isolation.names_one if kind is DiagnosticArray else \
-            isolation.names_one_in_text
         self._behind = False  # more has arrived than was looked at
         self._told = 0  # messages that the transient-local subscription has heard
         self.heard = False  # anything at all
         self.not_used = 0  # messages that were not used, or not wholly
         self.thrown_away = 0  # of these, not even read
+
+    def report(self) -> Report:
+        """Return who is faulty now, of whom anything was said, and since when."""
+        return Report(dict(self._faulty), frozenset(self._said))
 
     @property
     def known(self) -> bool:
@@ -64,8 +121,8 @@ class Reports:
         """
         return not self._behind and self._told >= self._late.get_publisher_count()
 
-    def take(self, faulty: frozenset[str]) -> frozenset[str]:
-        """Return the faulty sensors after all that has arrived."""
+    def take(self, now: int) -> Report:
+        """Take all that has arrived by this time [ns]; return what it comes to."""
         live, late = drain(self._live, MOST), drain(self._late, MOST)
         self._behind = MOST in (len(live), len(late))
         self._told += len(late)
@@ -75,49 +132,41 @@ class Reports:
             if len(self._heard) >= _TWICE:
                 del self._heard[next(iter(self._heard))]
             self._heard[sent, raw] = None
-            faulty = self._apply(raw, sent, faulty, self._sensors)
+            self.apply(sent, raw, now)
         for sent, raw in sorted((info['source_timestamp'], raw) for raw, info in late):
             if (sent, raw) in self._heard:
                 del self._heard[sent, raw]
             else:
-                faulty = self.late(sent, raw, faulty)
-        return faulty
+                self.apply(sent, raw, now, late=True)
+        return self.report()
 
-    def late(self, sent: int, raw: bytes, faulty: frozenset[str]) -> frozenset[str]:
-        """Apply a message, sent then, that only who comes late was told."""
-        news = {s for s in self._sensors if self._said.get(s, 0) < sent}
-        return faulty - news | self._apply(raw, sent, faulty, news) & news
+    def apply(self, sent: int, raw: bytes, now: int, late: bool = False) -> None:
+        """
+        Apply a message that was sent then.
 
-    def _apply(self, raw: bytes, sent: int, faulty: frozenset[str],
-               about: Collection[str]) -> frozenset[str]:
-        """Return the faulty sensors after a message; note for those it speaks of when it was."""
-        ours = len(raw) <= isolation.LARGEST and self._names_one(raw, self._sensors)
-        if self._shared and not ours and len(raw) <= isolation.LARGEST:
-            return faulty  # others' business
+        late: only who comes late was told, so that it counts for those sensors alone of which
+        nothing newer was said.
+        """
+        wording, faulty = self._wording, frozenset(self._faulty)
+        ours = len(raw) <= isolation.LARGEST and wording.concerns(raw)
+        if wording.shared and not ours and len(raw) <= isolation.LARGEST:
+            return  # others' business
         self._allowances[ours], refused = self._allowances[ours].admit(
             len(raw), time.monotonic_ns())
-        message = None if refused else decode(self.kind, raw)
+        message = None if refused else decode(wording.kind, raw)
         if message is None:
-            said = isolation.Isolation(faulty, (refused or UNREADABLE,))
-            spoken: Collection[str] = ()
-        elif isinstance(message, DiagnosticArray):
-            said = isolation.from_statuses(((s.name, s.level) for s in message.status),
-                                           self._sensors, faulty, self._shared)
-            spoken = {s.name for s in message.status}.intersection(about)
+            problems: tuple[str, ...] = (refused or str(Reason('unreadable')),)
         else:
-            said = isolation.from_text(message.data, self._sensors, faulty)
-            spoken = about
-        for name in spoken:
-            self._said[name] = max(sent, self._said.get(name, 0))
-        if said.problems:
+            said, spoken = wording.understand(message, faulty)
+            problems = said.problems
+            counts = {s for s in spoken if not late or self._said.get(s, 0) < sent}
+            for name in counts:
+                self._said[name] = max(sent, self._said.get(name, 0))
+            after = faulty - counts | said.faulty & counts
+            self._faulty = {s: self._faulty.get(s, now) for s in sorted(after)}
+        if problems:
             self.not_used += 1
             self.thrown_away += refused is not None
-            self._say(f'{self.topic}: {"; ".join(said.problems)}' + (
+            self._say(f'{self.topic}: {"; ".join(problems)}' + (
                 f' ({self.thrown_away} thrown away so far)' if refused else ''),
                 'thrown away' if refused else 'isolation')
-        return said.faulty
-
-
-def kind_of(type_name: str, diagnostics: str) -> Any:
-    """Return the message class of an isolation topic."""
-    return DiagnosticArray if type_name == diagnostics else String

@@ -44,7 +44,7 @@ def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tupl
 
     def state(name: str) -> str:
         """Say who serves a channel now."""
-        channel = next(c for c in replacer.channels() if c.name == name)
+        channel = next(c for c in replacer.snapshot().channels if c.name == name)
         return f'{name} is {channel.source}' + (f': {channel.reason}' if channel.reason else '')
 
     def force(name: str) -> Callable[[Any, Any], Any]:
@@ -59,7 +59,8 @@ def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tupl
 
     def reset(request: Any, response: Any) -> Any:
         return answer(response, replacer.reset, lambda: '; '.join(
-            state(c.name) for c in replacer.channels() if c.source != 'real') or 'all are real')
+            state(c.name) for c in replacer.snapshot().channels if c.source != 'real')
+            or 'all are real')
 
     services = [node.create_service(Trigger, '~/reset', reset)]
     for sensor in replacer.settings.design.sensors:

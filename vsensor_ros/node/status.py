@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+import math
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,7 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from vsensor_ros.engine.state import ChannelState, Health
+from vsensor_ros.engine.state import ChannelState, EngineState
 from vsensor_ros.node.diagnostics import (
     channel_facts,
     describe,
@@ -29,6 +30,7 @@ from vsensor_ros.node.diagnostics import (
     Scene,
 )
 from vsensor_ros.node.graph import Complaint, complaints, ends_of
+from vsensor_ros.node.pace import Health
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 
@@ -38,10 +40,30 @@ LOOK = 2.0  # s between two looks at the graph
 MOST_LINES = 10  # in the log after one look
 MOST_TOLD = 1000  # complaints that are remembered, not to be said again
 QUIET = 5.0  # s between two log lines that say the same of a channel
+WINDOW = 1.0  # s that rates are taken over, at least
 THROWN = 'thrown away'  # what is counted under that name lately; no sensor can be called so
 NODE = 'replacer'  # name of the status that is about no channel, on ~/status
 
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late joiners see it
+
+
+class Rates:
+    """How many readings come in a second, over the last whole window between two looks."""
+
+    def __init__(self) -> None:
+        self._since = 0.0
+        self._before: dict[str, int] = {}
+        self._rates: dict[str, float] = {}
+
+    def look(self, readings: dict[str, int], now: float) -> dict[str, float]:
+        """Return the rates [Hz] by channel, given what has come in up to a steady time [s]."""
+        passed = now - self._since
+        if passed >= WINDOW:
+            if self._before:
+                self._rates = {name: (count - self._before[name]) / passed
+                               for name, count in readings.items()}
+            self._since, self._before = now, readings
+        return self._rates
 
 
 class Reporter:
@@ -56,6 +78,7 @@ class Reporter:
         self._suspected: set[Complaint] = set()  # at the last look
         self._told: set[Complaint] = set()
         self._lately = Lately()
+        self._rates = Rates()
         self._spoken: dict[tuple[str, str], float] = {}  # by channel and source: when logged
         self._logged: dict[str, str] = {}  # by channel: the source logged last
         self._reported = 0.0
@@ -105,35 +128,39 @@ class Reporter:
             self._every(PERIOD)
         now = self._reported = time.monotonic()
         with self.replacer.lock:
-            channels, health = self.replacer.channels(), self.replacer.health()
+            engine, health = self.replacer.snapshot(), self.replacer.health()
             state = 'inactive' if not self.active else \
                 'starting' if self.replacer.start.waits else 'active'
-        scene = self._scene(channels, health, now)
+        channels = engine.channels
+        rates = self._rates.look({c.name: c.readings for c in channels}, now)
+        scene = self._scene(engine, now)
         sharing = defaultdict(set)
         for channel in channels:
             sharing[channel.topic].add(channel.name)
         reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
             if state == 'active' else []
-        loop = describe_loop(health, state, self._lately.grown(LOOP, health.overruns, now),
+        loop = describe_loop(engine, state, self._lately.grown(LOOP, engine.left_out, now),
                              self._about(None),
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
         prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
         told = list(zip(channels, reports))
-        pace = _health_facts(health, state)
+        pace = _loop_facts(engine, health, state)
         self.status.publish(encode(
-            [*((c.name, r, _status_facts(c)) for c, r in told), (NODE, loop, pace)], stamp))
+            [*((c.name, r, _status_facts(c, rates.get(c.name, math.nan))) for c, r in told),
+             (NODE, loop, pace)], stamp))
         self.diagnostics.publish(encode(
-            [*((prefix + c.name, r, channel_facts(c, scene)) for c, r in told),
+            [*((prefix + c.name, r, channel_facts(c, scene, rates.get(c.name, math.nan)))
+               for c, r in told),
              (prefix + LOOP, loop, pace)], stamp))
         for told_now in reports:
             self._log(told_now, now)
 
-    def _scene(self, channels: list[ChannelState], health: Health, now: float) -> Scene:
-        settings = self.replacer.settings
+    def _scene(self, engine: EngineState, now: float) -> Scene:
+        settings, channels = self.replacer.settings, engine.channels
         return Scene(
-            self.node.get_fully_qualified_name(), settings.design, self.replacer.live.policies,
-            health.faulty, {c.name: self._about(c.name) for c in channels},
+            self.node.get_fully_qualified_name(), settings.design, self.replacer.policies,
+            engine.faulty, {c.name: self._about(c.name) for c in channels},
             {c.name: self._lately.grown(c.name, c.switches, now) for c in channels})
 
     def _about(self, name: str | None) -> list[str]:
@@ -178,8 +205,13 @@ def _copy(qos: QoSProfile) -> QoSProfile:
     return QoSProfile(depth=qos.depth, durability=qos.durability, reliability=qos.reliability)
 
 
-def _status_facts(channel: ChannelState) -> Mapping[str, object]:
-    """Return the state of a channel for programs; the keys are part of the interface."""
+def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
+    """
+    Return the state of a channel for programs; the keys are part of the interface.
+
+    rate: of its readings [Hz].
+    """
+    low, high = channel.interval or (math.nan, math.nan)
     return {
         'source': channel.source,
         'valid': str(channel.source in ('real', 'virtual')).lower(),
@@ -194,14 +226,21 @@ def _status_facts(channel: ChannelState) -> Mapping[str, object]:
         'virtual_s': f'{channel.virtual_s:.3f}',
         'since_s': f'{channel.since_s:.3f}',
         'forced': str(channel.forced).lower(),
+        'isolated_s': f'{channel.isolated_s:.3f}',
         'recovering_s': f'{channel.recovering_s:.3f}',
-        'readings_hz': number(channel.rate_hz),
+        'residual': number(channel.residual),
+        'low': number(low),
+        'high': number(high),
+        'outside_region': str(channel.outside_region).lower(),
+        'outside_domain': channel.outside_domain,
+        'restarts': channel.restarts,
+        'readings_hz': number(rate),
         'not_used': sum(channel.counts.values()),
-        'reason': channel.reason,
+        'reason': channel.reason or '',
     }
 
 
-def _health_facts(health: Health, state: str) -> Mapping[str, object]:
+def _loop_facts(engine: EngineState, health: Health, state: str) -> Mapping[str, object]:
     """Return how the loop keeps up, for programs."""
     return {
         'state': state,
@@ -211,11 +250,12 @@ def _health_facts(health: Health, state: str) -> Mapping[str, object]:
         'step_p99': number(health.step_p99),
         'step_max': number(health.step_max),
         'jitter_p99': number(health.jitter_p99),
-        'overruns': health.overruns,
-        'ticks': health.ticks,
-        'estimates': health.estimates,
+        'overruns': engine.left_out,
+        'ticks': engine.ticks,
+        'estimates': engine.estimates,
+        'starts': engine.starts,
         'not_used': health.not_used,
         'thrown_away': health.thrown_away,
-        'faulty': ' '.join(health.faulty),
-        **{f'clock_{way.replace(" ", "_")}': count for way, count in health.jumps.items()},
+        'faulty': ' '.join(engine.faulty),
+        **{f'clock_{way.replace(" ", "_")}': count for way, count in engine.jumps.items()},
     }

@@ -1,15 +1,11 @@
-"""Who sends the messages of a topic, in what order they go out, and what stands in for them."""
+"""Who sends the messages of a stream, and in what order they go out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-import math
-from typing import Any
 
-import numpy as np
-
-from vsensor_ros.node.accessor import field_type, LARGEST_FLOAT
+from vsensor_ros.engine.events import Token
 
 CLOCKS_APART = 1_000_000_000  # ns; stamps further than this from ours are another clock's
 PATIENCE = 5_000_000_000  # ns of nothing but stamps behind an estimate's, then they are believed
@@ -21,53 +17,49 @@ HELD = 10_000_000  # ns by which an estimate may be stamped after its state, at 
 
 
 @dataclass(eq=False)
-class Driver:
+class Sender:
     """
-    One sender on a topic, known by the channels that it was seen to send together.
+    One sender on a stream, known by the channels that it was seen to send together.
 
     Mostly there is one. Of the JointStates on one topic several may each send some joints; each
-    has stamps of its own. All times are in ns, of the node's clock unless it says otherwise.
+    has stamps of its own. All times are in ns, of the engine's clock unless it says otherwise.
     """
 
+    number: int
     channels: set[str]
-    first: bytes | None = None  # its first message: what has changed since is a measurement
+    first: Token | None = None  # its first message: what has changed since is a measurement
     heard: int = 0  # when its last message came
-    raw: bytes | None = None  # its last message with the most channels: the template
-    taken: int = 0  # when it came
+    template: Token | None = None  # its last message with the most channels
+    taken: int = 0  # when that came
     carried: int = 0  # healthy channels in it
-    message: Any = None  # the template, decoded, with what was put into it
-    blanked: bool = False  # what was measured is no longer in it
     last_sent: int = NEVER  # the stamp that went out last
-    offset: int = 0  # of the clock of its stamps to the node's
-    ahead: int = AHEAD  # ns by which its stamps may lie ahead of the node's clock
+    offset: int = 0  # of the clock of its stamps to the engine's
+    ahead: int = AHEAD  # ns by which its stamps may lie ahead of the engine's clock
     doubted: tuple[int, int] = (0, 0)  # by how much the last one that lay further did; in a row
     composed: bool = False  # some of what went out is not as it came
     blocked: int | None = None  # since when all stamps were too old to go out
     refused: int = NEVER  # the last of these
-    problem: str | None = None  # why nothing goes out, though it should
 
-    def keep(self, raw: bytes, carried: int, now: int, max_age: int) -> None:
+    def keep(self, token: Token, carried: int, now: int, max_age: int) -> None:
         """Take a message for the template, unless the one there is has more channels."""
         self.heard = now
         if carried >= self.carried or now - self.taken > max_age:
-            self.take(raw, now)
+            self.take(token, now)
             self.carried = carried
 
-    def take(self, raw: bytes, now: int) -> None:
+    def take(self, token: Token, now: int) -> None:
         """Take a message for the template."""
         if self.first is None:
-            self.first = raw
-        self.raw, self.message, self.taken, self.heard = raw, None, now, now
-        self.blanked = False
+            self.first = token
+        self.template, self.taken, self.heard = token, now, now
 
-    def join(self, other: Driver) -> None:
+    def join(self, other: Sender) -> None:
         """Learn that two were one."""
         self.channels |= other.channels
         self.composed |= other.composed
         self.last_sent = max(self.last_sent, other.last_sent)
         if other.taken > self.taken:
-            self.raw, self.message, self.taken = other.raw, other.message, other.taken
-            self.first, self.blanked = other.first, other.blanked
+            self.template, self.taken, self.first = other.template, other.taken, other.first
         self.heard = max(self.heard, other.heard)
 
     def forget(self, now: int) -> None:
@@ -82,7 +74,7 @@ class Driver:
 
     def believes(self, stamp: int, now: int) -> bool:
         """
-        Tell whether a stamp that lies far ahead of the node's clock is to be believed.
+        Tell whether a stamp that lies far ahead of the engine's clock is to be believed.
 
         A single one is a mistake: what comes after it would be old, and an estimate from the
         future. AGREE in a row are another clock, and so is the very first.
@@ -97,7 +89,7 @@ class Driver:
 
     @property
     def apart(self) -> bool:
-        """Whether its stamps are of another clock than the node's."""
+        """Whether its stamps are of another clock than the engine's."""
         return abs(self.offset) > CLOCKS_APART
 
     def stamp_for(self, time: int, at_once: bool) -> int:
@@ -137,73 +129,47 @@ class Driver:
         return True
 
 
-class Drivers:
-    """The senders on one topic, told apart by the channels that come together."""
+class Senders:
+    """The senders on one stream, told apart by the channels that come together."""
 
     def __init__(self) -> None:
-        self.all: list[Driver] = []
-        self._of: dict[str, Driver] = {}  # by channel
-        self._by_presence: dict[tuple[str, ...], Driver] = {}
+        self.all: list[Sender] = []
+        self._made = 0
+        self._of: dict[str, Sender] = {}  # by channel
+        self._by_presence: dict[tuple[str, ...], Sender] = {}
 
-    def sender(self, present: tuple[str, ...]) -> Driver:
+    def _new(self) -> Sender:
+        self._made += 1
+        self.all.append(Sender(self._made, set()))
+        return self.all[-1]
+
+    def sender(self, present: tuple[str, ...]) -> Sender:
         """Return who sends the channels that are present in one message, at least one."""
-        driver = self._by_presence.get(present)
-        if driver is None:
+        sender = self._by_presence.get(present)
+        if sender is None:
             known = list(dict.fromkeys(self._of[c] for c in present if c in self._of))
-            driver = known[0] if known else Driver(set())
-            if not known:
-                self.all.append(driver)
+            sender = known[0] if known else self._new()
             for other in known[1:]:
-                driver.join(other)
+                sender.join(other)
                 self.all.remove(other)
-            driver.channels |= set(present)
-            self._of.update(dict.fromkeys(driver.channels, driver))
+            sender.channels |= set(present)
+            self._of.update(dict.fromkeys(sender.channels, sender))
             if len(known) > 1 or len(self._by_presence) >= MOST:
                 self._by_presence.clear()
-            self._by_presence[present] = driver
-        return driver
+            self._by_presence[present] = sender
+        return sender
 
-    def of(self, channel: str) -> Driver:
+    def of(self, channel: str) -> Sender:
         """Return who sends a channel; if it was never heard, who is there."""
-        driver = self._of.get(channel)
-        if driver is None:
-            if not self.all:
-                self.all.append(Driver(set()))
-            driver = self._of[channel] = self.all[0]
-            driver.channels.add(channel)
-        return driver
+        sender = self._of.get(channel)
+        if sender is None:
+            sender = self._of[channel] = self.all[0] if self.all else self._new()
+            sender.channels.add(channel)
+        return sender
 
-    def serving(self, channels: Mapping[str, Any]) -> dict[Driver, list[str]]:
+    def serving(self, channels: Iterable[str]) -> dict[Sender, list[str]]:
         """Return these channels by who sends them."""
-        result: dict[Driver, list[str]] = {}
+        result: dict[Sender, list[str]] = {}
         for channel in channels:
             result.setdefault(self.of(channel), []).append(channel)
         return result
-
-
-def blank(message: Any, first: Any, last: Any) -> None:
-    """
-    Make NaN of each float of a message that differs between the first and the last of a driver.
-
-    Such a number is a measurement; one that does not change is a property of the sensor.
-    """
-    for field, text in last.get_fields_and_field_types().items():
-        kind = field_type(text)
-        target, before, after = (getattr(m, field) for m in (message, first, last))
-        if kind.inner in LARGEST_FLOAT:
-            if not kind.is_array:
-                if before != after:
-                    setattr(message, field, math.nan)
-                continue
-            shared = min(len(before), len(after))
-            for i in np.flatnonzero(np.asarray(before[:shared]) != np.asarray(after[:shared])):
-                target[i] = math.nan
-            for i in range(shared, len(after)):
-                target[i] = math.nan
-        elif '/' in kind.inner:
-            if not kind.is_array:
-                blank(target, before, after)
-                continue
-            unknown = type(after[0])() if len(after) > len(before) else None
-            for i, element in enumerate(after):
-                blank(target[i], before[i] if i < len(before) else unknown, element)

@@ -5,7 +5,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, Joy, Range
 
 from vsensor_ros.node.accessor import put_stamp
-from vsensor_ros.node.driver import blank
+from vsensor_ros.node.template import blank
 
 
 def point(x):

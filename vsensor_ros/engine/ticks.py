@@ -1,13 +1,11 @@
-"""When the bank is stepped, and how far. Times are in ns, on the node's clock."""
+"""When the bank is stepped, and how far. Times are in ns, on the engine's clock."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-import time
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.engine.clock import NodeClock
-from vsensor_ros.node.pace import Pace
+from vsensor_ros.engine.clock import Clock
 
 CATCH_UP = 10  # ticks made good one by one when the loop or the clock is late; else the newest
 SLACK = 0.25  # of a period that a tick waits for readings: a held one is a small step behind
@@ -25,15 +23,15 @@ class Ticks:
     catches up before it is asked.
     """
 
-    def __init__(self, bank: Bank, clock: NodeClock) -> None:
-        self.pace = Pace()
+    def __init__(self, bank: Bank, clock: Clock) -> None:
         self._bank, self._clock, self._period = bank, clock, bank.period
         self._slack = min(round(SLACK * bank.period), LONGEST_SLACK)
         self._last = 0  # tick, while the bank has no grid yet
         self._behind = 0  # by which the state is older than the last tick
-        self._lead = round(LEAD * self._slack)
-        self._sending: int | None = None  # when what the tick sends is due
+        self.lead = round(LEAD * self._slack)  # that a message is ready before it is due, at most
         self.due = 0  # by the system's clock: when to look whether there is a tick
+        self.count = 0
+        self.left_out = 0
 
     @property
     def time(self) -> int:
@@ -45,12 +43,12 @@ class Ticks:
         """
         Yield the times of the ticks that are due; their readings, but of those named, come.
 
-        Those are the failed ones. If there are such, ticks begin sooner, and `hold` waits.
+        Those are the failed ones. If there are such, ticks begin sooner: see `send_at`.
         """
         now, period, simulated = self._clock.now, self._period, self._clock.simulated
         if now == 0 or (now < self.due and not simulated):
             return  # 0: simulated time has not begun
-        last, wait = self.time, self._slack - (self._lead if without else 0)
+        last, wait = self.time, self._slack - (self.lead if without else 0)
         if simulated:
             missed = (now - last) // period
             if missed == 1 and now < last + period + self._slack and \
@@ -60,24 +58,18 @@ class Ticks:
             missed = (now - wait - last) // period
         if missed > CATCH_UP:
             if last:
-                self.pace.overruns += missed - 1
+                self.left_out += missed - 1
             last = now - now % period - period if self._bank.time is None \
                 else last + (missed - 1) * period
             missed = 1
         for i in range(1, missed + 1):  # mostly once
-            self.pace.begin()
-            self._sending = None if simulated else last + i * period + self._slack
+            self.count += 1
             yield last + i * period
-            self._sending = None
-            self.pace.end()
         self.due = self.time + period + wait
 
-    def hold(self) -> None:
-        """Wait, within a tick, until it is time to send: all else is done then."""
-        if self._sending is not None:
-            left, self._sending = self._sending - time.time_ns(), None
-            if 0 < left <= self._lead:
-                self.pace.wait(left)
+    def send_at(self, tick: int) -> int:
+        """Return when what a tick has to say is due, so that estimates come at even distances."""
+        return 0 if self._clock.simulated else tick + self._slack
 
     def advance(self, at: int, idle: bool) -> None:
         """Bring the bank to a tick; idle: nobody needs it yet."""

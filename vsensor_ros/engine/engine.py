@@ -1,0 +1,526 @@
+"""
+The engine: what comes from sensors goes in, what is to go out in their place comes out.
+
+It knows no ROS and has no clock. Readings, commands, what isolation says, requests and the time
+are events: each is a call, with plain data as its arguments. Messages to be made come back as
+`Composition`, what people should hear is taken with `remarks`, what there is to see with
+`snapshot`. The same events lead to the same results, from a running node or from a recording.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+import math
+
+from vsensor_ros.bank import Bank
+from vsensor_ros.engine.bumpless import Bumpless
+from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
+from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.events import (
+    Composition,
+    Forward,
+    Message,
+    Remark,
+    Report,
+    Substitute,
+    Token,
+)
+from vsensor_ros.engine.settings import Live, Setup
+from vsensor_ros.engine.state import ChannelState, EngineState, stopped
+from vsensor_ros.engine.stream import is_absent, Stream, UNREADABLE, Wanted
+from vsensor_ros.engine.switch import Decision, Source, Switch
+from vsensor_ros.engine.ticks import Ticks
+from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.reason import Reason
+
+LOOK = 50_000_000  # ns between two looks at what the sources are
+OUT_OF_LINE = 4.0  # standard deviations
+SETTLE = 4  # rounds for decisions and readiness to agree; else the next tick goes on
+SLOW = 3  # intervals longer than max_age in a row that make a slow sensor of a silent one
+MOST_REMARKS = 1000  # kept for people
+
+Messages = list[Composition]
+
+
+class Engine:
+    """Decides who serves each channel, and estimates. Times are in ns, steady ones in s."""
+
+    def __init__(self, setup: Setup) -> None:
+        """Begin with all sensors healthy and silent; raises ValueError, one line."""
+        self._design, self._live = setup.design, setup.live
+        self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead)
+        self._switch = Switch.of(setup.design, setup.live.policies)
+        self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
+        self._ticks = Ticks(self._bank, self._clock)
+        blend = Bumpless(setup.live.time_constant)
+        self._channels = {
+            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
+            for s in setup.design.sensors}
+        self._remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
+        self._streams = [
+            Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
+                   self._remarks.append) for i, plan in enumerate(setup.streams)]
+        self._counts: Counter[tuple[str, Reason]] = Counter()  # by channel
+        self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
+        self._isolated: Report = Report({}, frozenset())
+        self._held: dict[str, float] = {}  # by sensor: the last value worth holding
+        self._last: dict[str, int] = {}  # by sensor: its last stamp
+        self._long: dict[str, int] = {}  # by sensor: long intervals in a row
+        self._slow: set[str] = set()  # sensors that were said to be
+        self._estimates = 0
+        self._starts = 0
+        self._moved = 0.0  # when simulated time did, by a steady clock
+        self._turned = False  # a decision has changed
+        self._looked = 0  # when it was seen last what the channels are
+        self._seen: list[tuple[str, int]] = []  # and what they were, with the switches
+        self._watch()
+
+    @property
+    def now(self) -> int:
+        """The time that the engine was told last; 0 before it was told any."""
+        return self._clock.now
+
+    @property
+    def due(self) -> int:
+        """When, by the system's clock, it should be asked for `ticks` again."""
+        return self._ticks.due
+
+    @property
+    def lead(self) -> int:
+        """By how much a message may be ready before it is due."""
+        return self._ticks.lead
+
+    # --------------------------------------------------------------------------- time and life
+
+    def look(self, now: int | None, steady: float) -> None:
+        """Take the time; None: the clock says nothing new. After a jump all starts anew."""
+        before = self._clock.now
+        jump = self._clock.look(now)
+        if self._clock.now != before:
+            self._moved = steady
+        if not jump:
+            return
+        self._remarks.append(Remark('warning', Reason.of(
+            'clock jumped ahead' if jump > 0 else 'clock jumped back',
+            seconds=abs(jump) * 1e-9), 'clock'))
+        self._start_anew()
+        if jump < 0:
+            for stream in self._streams:
+                stream.forget()
+
+    def resume(self, now: int | None, steady: float) -> None:
+        """Take the time after a rest in which nobody told it; the virtual sensors start anew."""
+        self._clock.resume(now)
+        self._moved = steady
+        if self._bank.time is not None:
+            self._start_anew()
+
+    def activate(self, active: bool = True) -> None:
+        """Send from now on, or nothing more. What came in before is old, and not sent."""
+        for stream in self._streams:
+            stream.active = active
+
+    def _start_anew(self) -> None:
+        self._restart()
+        self._ticks.restart()
+        self._last.clear()
+        self._long.clear()
+
+    def _restart(self) -> None:
+        self._starts += 1
+        self._bank.reset()
+        self._bank.distrust(self._believed)
+
+    # ---------------------------------------------------------------------------- what comes in
+
+    def judge(self, stream: int, message: Message, token: Token,
+              related: int | None = None) -> Forward | Reason | None:
+        """
+        Tell whether a message of a stream goes on. Then let the engine `learn` from it.
+
+        Forward: now, perhaps with some numbers changed. None: it is kept for the messages that
+        are composed. A reason: it should go on, but does not; that is counted. token: stands for
+        the message in a Composition. related: see `Stream.judge_foreign`.
+        """
+        where = self._streams[stream]
+        verdict = where.judge_foreign(message, token, related) if message.foreign else \
+            where.judge(message, token)
+        if isinstance(verdict, Reason):
+            self.count(where.names[0], verdict)
+        return verdict
+
+    def failed_templates(self, stream: int) -> list[tuple[int, Token]]:
+        """Return what messages of other joints may be related to; mostly nothing."""
+        where = self._streams[stream]
+        return where.failed_templates() if where.failed else []
+
+    def learn(self, stream: int, message: Message, received: int) -> None:
+        """Take what a message says. received: its time when it has no stamp."""
+        where = self._streams[stream]
+        stamp = message.stamp or self._unstamped(received)
+        for channel, value in zip(where.channels, message.values):
+            if value.__class__ is float:
+                channel.readings += 1
+                if stamp:
+                    self._feed(channel, stamp, value)
+            elif not message.foreign and not (
+                    is_absent(value) and where.fresh(channel.name)):
+                assert isinstance(value, Reason)  # no other driver sends it, either
+                self.count(channel.name, value)
+
+    def unreadable(self, stream: int) -> None:
+        """Note that something arrived on a stream that is no message."""
+        where = self._streams[stream]
+        where.lacks(UNREADABLE, self._clock.now)
+        self.count(where.names[0], UNREADABLE)
+
+    def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
+        """Take a command; it counts from its stamp, or from when it was received."""
+        if isinstance(value, Reason):
+            self.count(name, value)
+        elif stamp := stamp or self._unstamped(received):
+            reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+            if reason is not None:
+                self.count(name, reason)
+
+    def count(self, name: str, why: Reason) -> None:
+        """Count, and say now and then, what of a channel was not used or not sent, and why."""
+        self._counts[name, why] += 1
+        self._remarks.append(Remark('warning', Reason.of(
+            'counted', name=name, why=why, count=self._counts[name, why]), (name, why)))
+
+    def _unstamped(self, received: int) -> int:
+        """Return the time that counts for a message without a stamp; 0: time has not begun."""
+        return self._clock.now if self._clock.simulated else received
+
+    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
+        name = channel.name
+        reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+        if reason is None:
+            self._held[name] = value
+            before, self._last[name] = self._last.get(name, stamp), stamp
+            if stamp - before > channel.max_age:
+                self._time(channel, stamp - before)
+            elif name in self._long:
+                del self._long[name]
+        elif reason.code != 'isolated':  # what it says then is compared, and not worth a word
+            self.count(name, reason)
+
+    def _time(self, channel: Channel, interval: int) -> None:
+        """Say once when a sensor is slower than the silence that makes it invalid."""
+        name = channel.name
+        self._long[name] = self._long.get(name, 0) + 1
+        if self._long[name] == SLOW and name not in self._slow:
+            self._slow.add(name)
+            self._remarks.append(Remark('warning', Reason.of(
+                'slow sensor', name=name, seconds=interval * 1e-9,
+                max_age=channel.max_age * 1e-9), ('slow', name)))
+
+    # ------------------------------------------------------------------------------- requests
+
+    def isolate(self, report: Report) -> Messages:
+        """Take what isolation says in all: see `together`."""
+        self._isolated = report
+        reported = frozenset(report.faulty)
+        if reported == self._switch.reported:
+            return []
+        names = ', '.join(s for s in self._design.sensors if s in reported)
+        self._remarks.append(Remark(
+            'info', Reason.of('faulty sensors', names=names or 'none'), 'faulty'))
+        return self._command(lambda time: self._switch.isolate(reported, time))
+
+    def force(self, name: str) -> Messages:
+        """Treat a sensor as faulty until released; raises ValueError, one line, and KeyError."""
+        return self._command(lambda time: self._switch.force(name, time))
+
+    def release(self, name: str) -> Messages:
+        """End the force on a sensor; raises KeyError."""
+        return self._command(lambda time: self._switch.release(name, time))
+
+    def clear(self, name: str) -> Messages:
+        """Believe a sensor that is healthy again; raises ValueError, one line, and KeyError."""
+        return self._command(lambda time: self._switch.clear(name, time))
+
+    def reset(self) -> Messages:
+        """Start all virtual sensors anew, forget forces, holds and latches."""
+        self._restart()
+        return self._command(lambda time: self._switch.reset(time))
+
+    def apply(self, live: Live) -> Messages:
+        """Take over settings that may change."""
+        if live.time_constant != self._live.time_constant:
+            for channel in self._channels.values():
+                channel.blend = channel.blend.with_time_constant(
+                    live.time_constant, self._clock.lasting())
+        self._live = live
+        self._watch()
+        return self._command(lambda _: self._switch.with_policies(live.policies))
+
+    def _watch(self) -> None:
+        """Note whose silence counts."""
+        self._watched = [(name, stream) for stream in self._streams for name in stream.names
+                         if self._live.policies[name].silent_is_faulty]
+
+    def _command(self, act: Callable[[int], Switch]) -> Messages:
+        self._switch = act(self._clock.lasting())
+        return self._decide()[0]
+
+    # ------------------------------------------------------------------------------ decisions
+
+    def ticks(self) -> Iterator[int]:
+        """Yield the times of the ticks that are due now; call `tick` for each before the next."""
+        return self._ticks.now(self._believed)
+
+    def send_at(self, at: int) -> int:
+        """Return when the messages of a tick are due; 0: at once."""
+        return self._ticks.send_at(at)
+
+    def tick(self, at: int) -> Messages:
+        """Step the virtual sensors to a tick, and speak for the failed."""
+        if self._watched:
+            self._silence()
+        idle = not (self._switch.faulty or self._switch.forced)
+        self._ticks.advance(at, idle)
+        if idle:
+            return []
+        made, spoken = self._decide()
+        at = self._ticks.time
+        for stream in self._streams:
+            if stream not in spoken and not self._switch.faulty.isdisjoint(stream.names):
+                made += self._speak(stream, at)
+        return made
+
+    def _silence(self) -> None:
+        """Tell the switch who has fallen silent, of those whose silence counts."""
+        before = self._switch.silent
+        silent = frozenset(
+            name for name, stream in self._watched if not stream.fresh(name)
+            and (stream.heard(name) or name in before))
+        if silent != before:
+            self._switch = self._switch.silence(silent, self._clock.lasting())
+
+    def _ready(self, fault_set: tuple[str, ...], name: str) -> bool:
+        return self._bank.ready(fault_set, name) and not self._too_uncertain(fault_set, name)
+
+    def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
+        limit = self._live.max_deviation[name]
+        return limit > 0.0 and not self._bank.deviation(fault_set, name) <= limit
+
+    def _why_not(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
+        reason = _reason(self._bank.why_not(fault_set, name))
+        if reason is None and self._too_uncertain(fault_set, name):
+            return Reason.of('too uncertain', limit=self._live.max_deviation[name],
+                             deviation=self._bank.deviation(fault_set, name))
+        return reason
+
+    def _decide(self) -> tuple[Messages, list[Stream]]:
+        """Let the switch decide, the bank follow; return what the streams that changed say."""
+        self._ticks.catch_up()
+        before = {s: (d.source, d.fault_set) for s, d in self._switch.decisions.items()}
+        for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
+            if self._switch.faulty != self._believed:
+                self._believed = self._switch.faulty
+                self._bank.distrust(self._believed)
+            self._switch = self._switch.decide(self._clock.lasting(), self._ready, self._why_not)
+            if self._switch.faulty == self._believed:
+                break
+        changed = {s for s, d in self._switch.decisions.items()
+                   if (d.source, d.fault_set) != before[s]}
+        if not changed:
+            return [], []
+        self._turned = True
+        spoken = [stream for stream in self._streams if not changed.isdisjoint(stream.names)]
+        at = self._ticks.time
+        return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
+
+    # ----------------------------------------------------------------------------- what goes out
+
+    def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
+        """Return what stands in for the failed channels of a stream at the time of the state."""
+        wanted: dict[str, Wanted] = {}
+        passing = set()
+        for channel in stream.channels:
+            name, decision = channel.name, self._switch.decisions[channel.name]
+            if decision.source is Source.REAL:
+                if name in stream.failed or name in stream.passing:
+                    channel.why = None
+                continue
+            estimate = self._estimate(channel, decision.fault_set) \
+                if decision.source is Source.VIRTUAL else None
+            if estimate is not None:
+                channel.why = None
+                wanted[name] = estimate
+                continue
+            action = self._without_estimate(channel, decision)
+            if action == 'pass':
+                passing.add(name)
+            else:
+                wanted[name] = Wanted({'stop': None, 'nan': math.nan}.get(
+                    action, self._held.get(name)))
+        stream.fail(frozenset(wanted), frozenset(passing))
+        if not wanted:
+            return []
+        made, troubles = stream.compose(at, wanted, at_once)
+        for name, trouble in troubles.items():
+            self._lacks(name, trouble)
+        return made
+
+    def _without_estimate(self, channel: Channel, decision: Decision) -> str:
+        """Note that nobody serves a channel, and why; return what goes out instead."""
+        channel.stop(self._clock.lasting())
+        action = self._live.without_estimate
+        if action == 'hold' and channel.name not in self._held:
+            action = 'stop'
+        why = decision.reason if decision.source is Source.NONE else \
+            self._why_not(decision.fault_set, channel.name)
+        channel.why = Reason.of('instead', why=why or Reason('ready just now'),
+                                instead=Reason(action))
+        return action
+
+    def _lacks(self, name: str, trouble: Reason | None) -> None:
+        """Note that a failed channel has no message; None: NaN is in it, because of others."""
+        channel = self._channels[name]
+        if trouble is not None:
+            channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))
+        elif channel.why is not None:
+            channel.why = Reason.of('instead', why=channel.why.fact('why'), instead=Reason('nan'))
+
+    def _estimate(self, channel: Channel, fault_set: tuple[str, ...]) -> Wanted | None:
+        value = self._bank.estimate(fault_set, channel.name)
+        if value is None:
+            return None
+        above, deviation = None, self._bank.deviation(fault_set, channel.name)
+        if channel.source == REAL:  # what went out last may be the fault
+            known = self._bank.disagreement(fault_set, channel.name)
+            above = math.nan if known is None else known
+        elif channel.source == VIRTUAL and fault_set != channel.fault_set:
+            entry = self._design.entries[channel.fault_set, channel.name]
+            fault = isinstance(entry, VirtualSensor) and self._believed.intersection(entry.reads)
+            left = channel.value - channel.blend.left(self._clock.lasting()) - value
+            if fault and abs(left) > OUT_OF_LINE * deviation:
+                above = math.nan  # what it read was faulty already
+        entry = self._design.entries[fault_set, channel.name]
+        return Wanted(value, fault_set, deviation, None,
+                      entry.grade if isinstance(entry, VirtualSensor) else '', above)
+
+    def done(self, composition: Composition, trouble: Reason | None = None) -> None:
+        """
+        Note that a composed message went out, or why it did not.
+
+        'not sent' and 'mistake' are counted and may not be so the next time; any other trouble is
+        why its channels have no source.
+        """
+        stream = self._streams[composition.stream]
+        if trouble is not None and trouble.code in ('not sent', 'mistake'):
+            self.count(stream.names[0], trouble)
+            return
+        if trouble is None:
+            stream.sent(composition)
+        names = [stream.names[i] for i, _ in composition.fields]
+        if trouble is not None:
+            stream.trouble(names, trouble)
+        for name, (_, field) in zip(names, composition.fields):
+            if not isinstance(field, Substitute):
+                continue
+            if trouble is not None:
+                self._lacks(name, trouble)
+            elif field.fault_set is not None:
+                self._held[name] = field.value
+                self._estimates += 1
+
+    # ----------------------------------------------------------------------- what can be seen
+
+    def remarks(self) -> list[Remark]:
+        """Return what is to be said to people, once."""
+        if not self._remarks:
+            return []
+        said = list(self._remarks)
+        self._remarks.clear()
+        return said
+
+    def changed(self) -> bool:
+        """Tell whether some channel is something else than when it was last told; look by now."""
+        if not self._turned and 0 <= self._clock.now - self._looked < LOOK:
+            return False
+        self._turned, self._looked = False, self._clock.now
+        seen = [(self._is(stream, channel)[0], channel.switches)
+                for stream in self._streams for channel in stream.channels]
+        before, self._seen = self._seen, seen
+        return seen != before
+
+    def _is(self, stream: Stream, channel: Channel) -> tuple[str, Reason | None]:
+        return channel.state(self._switch.decisions[channel.name], stream.why_silent(channel.name))
+
+    def heard_any(self) -> bool:
+        """Tell whether any sensor has spoken, since the clock went back."""
+        return any(stream.heard(name) for stream in self._streams for name in stream.names)
+
+    def snapshot(self, steady: float) -> EngineState:
+        """Return how everything is; steady: now, by a clock that never jumps."""
+        still = steady - self._moved if self._clock.simulated else 0.0
+        faulty = tuple(s for s in self._design.sensors if s in self._switch.faulty)
+        return EngineState(
+            tuple(self._state(stream, channel, faulty, stopped(still))
+                  for stream in self._streams for channel in stream.channels),
+            faulty, self._ticks.count, self._ticks.left_out, self._estimates,
+            dict(self._clock.jumps), self._starts, still)
+
+    def _state(self, stream: Stream, channel: Channel, faulty: tuple[str, ...],
+               standstill: Reason | None) -> ChannelState:
+        name, lasting = channel.name, self._clock.lasting()
+        decision = self._switch.decisions[name]
+        source, reason = self._is(stream, channel)
+        fault_set, serves, value, deviation, interval = faulty, None, channel.value, math.inf, None
+        if source == VIRTUAL and standstill is not None:  # so do the virtual sensors
+            source, value = NONE, math.nan
+            reason = Reason.of('instead', why=standstill, instead=Reason('stop'))
+        elif source == VIRTUAL:
+            fault_set = decision.fault_set
+            entry = self._design.entries.get((fault_set, name))
+            serves = entry if isinstance(entry, VirtualSensor) else None
+            deviation = self._bank.deviation(fault_set, name)
+        elif source == NONE:
+            value = math.nan
+        else:
+            deviation = 0.0
+            if stream.plain:
+                value = stream.latest(name)
+        if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
+            reason = silence if reason is None else \
+                Reason.of('both', first=reason, second=silence)
+        recovering = self._switch.recovering.get(name)
+        key = fault_set if serves is not None else (name,)  # of its reserve, while it is real
+        isolated = self._isolated.faulty.get(name)
+        return ChannelState(
+            name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
+            '' if serves is None else serves.grade, value, deviation, interval,
+            channel.blend.left(lasting), channel.switches, channel.blend.step,
+            _seconds(channel.since, lasting), channel.virtual_time(lasting) * 1e-9,
+            name in self._switch.forced, _seconds(isolated, self._clock.now),
+            _seconds(recovering, lasting), math.nan, serves,
+            self._bank.outside_region(key, name), _total(self._bank.outside_domain, name),
+            _total(self._bank.restarts, name),
+            {why: count for (of, why), count in self._counts.items() if of == name},
+            channel.readings)
+
+
+def _total(counts: Counter[tuple[tuple[str, ...], str]], name: str) -> int:
+    """Return what was counted of all virtual sensors of a channel."""
+    return sum(count for (_, channel), count in counts.items() if channel == name)
+
+
+def _seconds(since: int | None, now: int) -> float:
+    """Return what has passed since a time [ns] in s; NaN since none."""
+    return math.nan if since is None else (now - since) * 1e-9
+
+
+
+
+
+def _reason(said):  # until the bank says it so itself
+    if said is None or isinstance(said, Reason):
+        return said
+    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
+    from vsensor_ros.reason import SENTENCES
+    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)

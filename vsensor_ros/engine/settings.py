@@ -1,0 +1,42 @@
+"""What the engine is told at its start, and what of it may change while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from vsensor_ros.engine.switch import Policy
+from vsensor_ros.observers.virtual_sensor import Design
+
+
+@dataclass(frozen=True)
+class Live:
+    """What may change while the engine runs."""
+
+    without_estimate: str  # 'stop', 'hold', 'nan' or 'pass'
+    time_constant: float  # s of the decay of an offset at a switch; 0: a plain switch
+    policies: Mapping[str, Policy]  # by sensor
+    max_deviation: Mapping[str, float]  # by sensor, in its unit; 0: no limit
+
+
+@dataclass(frozen=True)
+class StreamPlan:
+    """One stream of messages and the channels that travel in them."""
+
+    names: tuple[str, ...]  # of its channels, in the order of their fields
+    source: str  # where the drivers' messages come in; a topic, for people
+    output: str  # where they go out
+    stamped: bool  # its messages have stamps
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that the engine must know at its start. Every sensor is in just one stream."""
+
+    design: Design
+    rate: float  # Hz
+    max_age: Mapping[str, float]  # s, by sensor
+    jump_ahead: float  # s; a clock that jumps further ahead starts the virtual sensors anew
+    streams: tuple[StreamPlan, ...]
+    simulated: bool  # the clock is a simulation's: it stands still between two looks
+    live: Live

@@ -1,0 +1,309 @@
+"""
+One stream of messages: which of them go on, and what is to stand in for those that do not.
+
+A message with no failed channel in it goes on as it came. While a channel of a sender is failed,
+its messages are composed: the latest live one is the template, the failed channels are written
+into it, and every other channel is what it last said. All times are in ns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+import math
+from typing import NamedTuple
+
+from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.events import (
+    AS_IT_CAME,
+    Composition,
+    Forward,
+    Message,
+    Remark,
+    Substitute,
+    Token,
+)
+from vsensor_ros.engine.sender import Sender, Senders
+from vsensor_ros.engine.settings import StreamPlan
+from vsensor_ros.reason import Reason
+
+UNREADABLE, NOT_NEWER, FROM_THE_FUTURE, ONLY_NAN, NEVER_SEEN = map(Reason, (
+    'unreadable', 'not newer', 'from the future', 'only NaN', 'never seen'))
+ABSENT = 'not in the message'  # code of the reason why a message has no value of a channel
+
+
+class Wanted(NamedTuple):
+    """What is to go out for a failed channel."""
+
+    value: float | None  # NaN marks it as failed; None: nothing is to go out
+    fault_set: tuple[str, ...] | None = None  # of the virtual sensor that says so
+    deviation: float = math.inf  # standard deviation; inf when not known
+    interval: tuple[float, float] | None = None  # in which the truth lies
+    grade: str = ''
+    above: float | None = None  # see Channel.serve
+
+
+class Stream:
+    """The messages of one input, on their way to one output."""
+
+    def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
+                 say: Callable[[Remark], object]) -> None:
+        """Begin with nothing heard; channels: those of the plan, in its order."""
+        self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
+        self.active = False  # sends
+        self.failed: frozenset[str] = frozenset()  # channels that are composed
+        self.passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
+        self.plain = True  # nothing was ever composed: every message goes on
+        self.senders = Senders()
+        self._clock, self._say = clock, say
+        self._latest: dict[str, float] = {}  # by channel: what it said
+        self._heard: dict[str, int] = {}  # and when, by the engine's clock
+        self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
+        self._max_age = {c.name: c.max_age for c in channels}
+        self._longest = max(self._max_age.values())
+        self._only = self.senders.sender(self.names) if len(self.names) == 1 else \
+            Sender(0, set())
+
+    # -------------------------------------------------------------------------- what comes in
+
+    def judge(self, message: Message, token: Token) -> Forward | Reason | None:
+        """
+        Tell whether a live message goes on.
+
+        None: it is kept for the next one that is composed. A reason: it should have gone on, and
+        does not. The numbers of channels that are not in the stream's names are nobody's.
+        """
+        now, values, stamp = self._clock.now, message.values, message.stamp
+        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float and (
+                stamp is None
+                or self._only.last_sent < stamp <= now + self._only.ahead):
+            self._note(self.names[0], float(values[0]), now)  # type: ignore[arg-type]
+            only = self._only  # mostly it is so
+            only.take(token, now)
+            if stamp is not None:
+                only.sends(stamp, now)
+            return AS_IT_CAME
+        for name, value in zip(self.names, values):
+            if isinstance(value, Reason):
+                self._lacks[name] = value, now
+            else:
+                self._note(name, value, now)
+        sender = self.senders.sender(self.names if Reason not in map(type, values) else tuple(
+            n for n, v in zip(self.names, values) if not is_absent(v)))
+        failed = self.failed and self.failed & sender.channels
+        sender.keep(token, sum(v.__class__ is float and n not in failed
+                               for n, v in zip(self.names, values)) if len(values) > 1 else 0,
+                    now, self._max_age[self.names[0]])
+        if failed or not self.active:
+            return None
+        if stamp is not None:
+            if stamp > now + sender.ahead and not sender.believes(stamp, now):
+                return FROM_THE_FUTURE
+            if stamp <= sender.last_sent and not sender.in_order(
+                    stamp, now, self._longest, self._step_back):
+                return NOT_NEWER
+            sender.sends(stamp, now)
+        return AS_IT_CAME if self.plain else self._blended(values)
+
+    def judge_foreign(self, message: Message, token: Token,
+                      related: int | None) -> Forward | Reason | None:
+        """
+        Tell whether a message without any channel of the stream goes on, with its own stamps.
+
+        related: the number of a sender with failed channels whose template shares names with it;
+        then it is that sender's. ANYBODYS: it has numbers without names, so that it may be any
+        one's. None: it is others', or no sender has failed channels.
+        """
+        now, why = self._clock.now, message.values[0]
+        assert isinstance(why, Reason)
+        self.lacks(why, now)
+        if related is not None:
+            for sender in self.senders.all:
+                if sender.number == related:
+                    sender.keep(token, 0, now, self._max_age[self.names[0]])
+            return None
+        return AS_IT_CAME if self.active else None
+
+    def failed_templates(self) -> list[tuple[int, Token]]:
+        """Return the templates of the senders with failed channels, by their numbers."""
+        return [(sender.number, sender.template) for sender in self.senders.all
+                if self.failed & sender.channels and sender.template is not None]
+
+    def lacks(self, reason: Reason, now: int) -> None:
+        """Note that something arrived that says nothing of any channel."""
+        self._lacks.update(dict.fromkeys(self.names, (reason, now)))
+
+    def _note(self, name: str, value: float, now: int) -> None:
+        """Note what a channel says; with NaN it is there, but says nothing."""
+        self._latest[name] = value
+        if math.isnan(value):
+            self._lacks[name] = ONLY_NAN, now
+        else:
+            self._heard[name] = now
+
+    def _blended(self, values: Sequence[float | Reason]) -> Forward:
+        """Let a live message go on with what is left of the offsets of the last switch."""
+        lasting = self._clock.lasting()
+        changed = {}
+        for i, (channel, value) in enumerate(zip(self.channels, values)):
+            if isinstance(value, float) and math.isfinite(value) and \
+                    channel.name not in self.passing:
+                put = channel.serve(REAL, (), value, lasting)
+                if put != value:
+                    changed[i] = put
+        return Forward(changed) if changed else AS_IT_CAME
+
+    def _step_back(self, seconds: float) -> None:
+        self._say(Remark('error', Reason.of(
+            'stamps step back', topic=self.plan.source, output=self.plan.output,
+            seconds=seconds), ('stamps', self.index)))
+
+    def forget(self) -> None:
+        """Begin anew after the clock went back."""
+        for sender in self.senders.all:
+            sender.forget(self._clock.now)
+        self._heard.clear()
+        self._lacks.clear()
+
+    # ------------------------------------------------------------------- what is known of them
+
+    def heard(self, name: str) -> bool:
+        """Tell whether a channel has ever spoken, since the clock went back."""
+        return name in self._heard or self._lacks.get(name, (None, 0))[0] == ONLY_NAN
+
+    def latest(self, name: str) -> float:
+        """Return what a channel said last, NaN before it spoke."""
+        return self._latest.get(name, math.nan)
+
+    def fresh(self, name: str) -> bool:
+        """Tell whether a channel has spoken within its max_age."""
+        heard = self._heard.get(name)
+        return heard is not None and self._clock.now - heard <= self._max_age[name]
+
+    def why_silent(self, name: str) -> Reason | None:
+        """Return why a healthy channel is not to be had live, or None when it is."""
+        now, topic = self._clock.now, self.plan.source
+        if self.fresh(name):
+            blocked = self.senders.of(name).blocked
+            stuck = blocked is not None and now - blocked > self._max_age[name]
+            return Reason.of('stale messages', topic=topic, why=NOT_NEWER) if stuck else None
+        reason, at = self._lacks.get(name, (None, 0))
+        if reason is not None and now - at <= self._max_age[name]:
+            if reason == ONLY_NAN:
+                return Reason.of('only NaN on', topic=topic)
+            return Reason.of('useless messages', topic=topic, why=reason)
+        return Reason.of('nothing comes', topic=topic)
+
+    def driver_silence(self, name: str) -> Reason | None:
+        """Return for how long a channel's driver has been silent, None when it is not."""
+        sender = self.senders.of(name)
+        if sender.template is None or not self._silent(sender):
+            return None
+        return Reason.of('driver silent', seconds=(self._clock.now - sender.heard) * 1e-9)
+
+    def _silent(self, sender: Sender) -> bool:
+        return self._clock.now - sender.heard > self._longest
+
+    # --------------------------------------------------------------------------- what goes out
+
+    def fail(self, failed: frozenset[str], passing: frozenset[str]) -> None:
+        """Compose these channels from now on; those passing have failed, too."""
+        self.passing = passing
+        if self.plain and failed:
+            lasting = self._clock.lasting()
+            for channel in self.channels:  # what it said last went out; nobody noted it till now
+                heard = self._heard.get(channel.name)
+                if heard is not None and self.active:
+                    channel.value = self._latest[channel.name]
+                    channel.sent = lasting - (self._clock.now - heard)
+            self.plain = False
+        if failed != self.failed:
+            self.failed = failed
+            for sender in self.senders.all:
+                sender.carried = 0
+            for channel in self.channels:
+                if channel.name not in failed | passing:
+                    channel.why = None
+
+    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool,
+                ) -> tuple[list[Composition], dict[str, Reason | None]]:
+        """
+        Make of each template a message with these channels replaced, for the time of the state.
+
+        All other channels are as they were last heard, NaN when that is too long ago. A sender
+        none of whose channels has a value sends nothing; beside others, one without is NaN.
+        at_once: may be stamped a little later. Returns the messages, and by channel why nothing
+        goes out for it, None if NaN does.
+        """
+        made: list[Composition] = []
+        troubles: dict[str, Reason | None] = {}
+        if not self.active or time == 0:
+            return made, troubles
+        for sender, names in self.senders.serving(wanted).items():
+            stopped = [name for name in names if wanted[name].value is None]
+            if len(stopped) == len(names) and not any(
+                    self.fresh(name) for name in sender.channels if name not in names):
+                continue
+            composed = self._compose(sender, time, wanted, at_once)
+            trouble = composed if isinstance(composed, Reason) else None
+            self.trouble(sender.channels, trouble)
+            for name in names if trouble else stopped:
+                troubles[name] = trouble
+            if isinstance(composed, Composition):
+                made.append(composed)
+        return made, troubles
+
+    def trouble(self, names: Sequence[str] | set[str], why: Reason | None) -> None:
+        """Note why live channels in a composed message do not go out, None when they do."""
+        for channel in self.channels:
+            if channel.name in names and channel.name not in self.failed | self.passing:
+                channel.why = why
+
+    def sent(self, composition: Composition) -> None:
+        """Note that a composed message went out."""
+        for sender in self.senders.all:
+            if sender.number == composition.sender:
+                sender.last_sent, sender.composed = composition.stamp, True
+
+    def _compose(self, sender: Sender, time: int, wanted: Mapping[str, Wanted],
+                 at_once: bool) -> Composition | Reason | None:
+        """Return a message, or why there is none; None: none this time."""
+        now = self._clock.now
+        if sender.template is None and self.plan.stamped:
+            return NEVER_SEEN
+        stamp = sender.stamp_for(time, at_once)
+        if not sender.in_order(stamp, time, self._longest, self._step_back):
+            assert sender.blocked is not None
+            return NOT_NEWER if now - sender.blocked > self._longest else None
+        if sender.apart and not sender.composed:
+            self._say(Remark('error', Reason.of(
+                'clock of its own', topic=self.plan.source, seconds=sender.offset * 1e-9),
+                ('clock', self.index)))
+        return Composition(
+            self.index, sender.number, sender.template, sender.first, self._silent(sender), stamp,
+            time, tuple((i, self._field(channel, wanted.get(channel.name), time))
+                        for i, channel in enumerate(self.channels)
+                        if channel.name in sender.channels))
+
+    def _field(self, channel: Channel, wanted: Wanted | None,
+               time: int) -> Substitute | float | None:
+        """Return what is to be written for a channel, failed or live; see Composition."""
+        lasting = self._clock.lasting(time)
+        if wanted is not None:
+            value = math.nan if wanted.value is None else wanted.value
+            if wanted.fault_set is not None:
+                value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above)
+            offset = channel.blend.left(lasting) if wanted.fault_set is not None else 0.0
+            return Substitute(value, wanted.fault_set, wanted.deviation, wanted.interval,
+                              wanted.grade, offset)
+        if not self.fresh(channel.name):
+            return None
+        value = self._latest[channel.name]
+        if math.isfinite(value) and channel.name not in self.passing:
+            value = channel.serve(REAL, (), value, self._clock.lasting())
+        return value
+
+
+def is_absent(value: float | Reason) -> bool:
+    """Tell whether a message does not have a channel in it, so that others may send it."""
+    return isinstance(value, Reason) and value.code == ABSENT

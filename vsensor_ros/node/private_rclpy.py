@@ -1,0 +1,92 @@
+"""
+What is used of rclpy beyond its public face, all of it here, and what each part is needed for.
+
+The executors of rclpy rebuild their wait set several times a message and decode every one; the
+replacer waits on the same wait set itself, and takes and sends bytes. Written for rclpy 7.1
+(Jazzy). `lacking` says which of these parts a release does not have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.lifecycle import LifecycleNode
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+PARTS = {  # (class, attribute): what it is needed for
+    ('Subscription', 'take_message'): 'to take messages that no executor waits for',
+    ('Subscription', 'pointer'): 'to know which subscription is ready',
+    ('Publisher', 'publish_raw'): 'to send messages on as the bytes that came',
+    ('WaitSet', 'add_subscription'): 'to wait for messages without an executor',
+    ('WaitSet', 'clear_entities'): 'to wait for messages again',
+    ('WaitSet', 'wait'): 'to wait for messages without an executor',
+    ('WaitSet', 'get_ready_entities'): 'to know which subscription is ready',
+}
+
+
+def lacking(implementation: Any = _rclpy) -> list[str]:
+    """Return the parts that this release of rclpy lacks, each with what it is needed for."""
+    return [f'{kind}.{part} ({use})' for (kind, part), use in PARTS.items()
+            if not hasattr(getattr(implementation, kind, None), part)]
+
+
+def taker(subscription: Subscription) -> Callable[[Any, bool], Any]:
+    """
+    Return what takes one message: called with (type, raw), it returns (message, info) or None.
+
+    info: a dict with 'source_timestamp' and 'received_timestamp' in ns.
+    """
+    take: Callable[[Any, bool], Any] = subscription.handle.take_message
+    return take
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], None]:
+    """Return what sends a serialized message; it raises RuntimeError (RCLError)."""
+    send: Callable[[bytes], None] = publisher.handle.publish_raw
+    return send
+
+
+def key_of(subscription: Subscription) -> int:
+    """Return by what `Waiting.wait` names a subscription."""
+    return int(subscription.handle.pointer)
+
+
+def end_state_machine(node: LifecycleNode) -> None:
+    """Destroy the state machine of a node, which rclpy forgets: it would keep the node alive."""
+    node._state_machine.destroy_when_not_in_use()
+
+
+class Waiting:
+    """Waits for some subscriptions; nobody can destroy them meanwhile. A context manager."""
+
+    def __init__(self, subscriptions: Sequence[Subscription], context: Context) -> None:
+        self._handles = [subscription.handle for subscription in subscriptions]
+        self._context, self._stack = context, ExitStack()
+
+    def __enter__(self) -> Waiting:
+        """Hold the subscriptions."""
+        with ExitStack() as stack:
+            for handle in self._handles:
+                stack.enter_context(handle)
+            self._set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, self._context.handle)
+            stack.enter_context(self._set)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of them."""
+        self._stack.close()
+
+    def wait(self, longest: int) -> Collection[int]:
+        """Wait until a message has come, or so long [ns]; return the keys of who is ready."""
+        self._set.clear_entities()
+        for handle in self._handles:
+            self._set.add_subscription(handle)
+        self._set.wait(longest)
+        ready: Collection[int] = self._set.get_ready_entities('subscription')
+        return ready
