@@ -6,8 +6,7 @@ from hypothesis import given, strategies as st
 import pytest
 from rclpy.serialization import deserialize_message
 
-from vsensor_ros.engine.state import ChannelState, EngineState
-from vsensor_ros.engine.switch import Policy
+from vsensor_ros.engine import ChannelState, EngineState, Policy
 from vsensor_ros.node.diagnostics import (
     channel_facts,
     describe,

@@ -5,8 +5,7 @@ import math
 
 import pytest
 
-from vsensor_ros.engine.engine import Engine
-from vsensor_ros.engine.events import Composition
+from vsensor_ros.engine import Composition, Engine
 from vsensor_ros.node import replacer as node_module
 
 RANGE, JOINTS = 'sensor_msgs/msg/Range', 'sensor_msgs/msg/JointState'

@@ -1,6 +1,39 @@
 """The engine: decides who serves each channel and what goes out; knows no ROS."""
 
 from vsensor_ros.engine.bumpless import Bumpless
+from vsensor_ros.engine.engine import Engine
+from vsensor_ros.engine.events import (
+    ANYBODYS,
+    Composition,
+    Forward,
+    IsolationReport,
+    IsolationSource,
+    Remark,
+    Substitute,
+    together,
+)
+from vsensor_ros.engine.settings import Live, Setup, StreamPlan
+from vsensor_ros.engine.state import ChannelState, EngineState
 from vsensor_ros.engine.switch import Decision, Policy, Source, Switch
 
-__all__ = ['Bumpless', 'Decision', 'Policy', 'Source', 'Switch']
+__all__ = [
+    'ANYBODYS',
+    'Bumpless',
+    'ChannelState',
+    'Composition',
+    'Decision',
+    'Engine',
+    'EngineState',
+    'Forward',
+    'IsolationReport',
+    'IsolationSource',
+    'Live',
+    'Policy',
+    'Remark',
+    'Setup',
+    'Source',
+    'StreamPlan',
+    'Substitute',
+    'Switch',
+    'together',
+]

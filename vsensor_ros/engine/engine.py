@@ -9,36 +9,27 @@ are events: each is a call, with plain data as its arguments. Messages to be mad
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator
 import math
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
-from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
+from vsensor_ros.engine.channel import Channel, NONE, VIRTUAL
 from vsensor_ros.engine.clock import Clock
-from vsensor_ros.engine.events import (
-    Composition,
-    Forward,
-    Message,
-    Remark,
-    Report,
-    Substitute,
-    Token,
-)
+from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
+from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
+from vsensor_ros.engine.stand_in import StandIn
 from vsensor_ros.engine.state import ChannelState, EngineState, stopped
-from vsensor_ros.engine.stream import is_absent, Stream, UNREADABLE, Wanted
-from vsensor_ros.engine.switch import Decision, Source, Switch
+from vsensor_ros.engine.stream import Stream, UNREADABLE
+from vsensor_ros.engine.switch import Source, Switch
 from vsensor_ros.engine.ticks import Ticks
 from vsensor_ros.observers.virtual_sensor import VirtualSensor
 from vsensor_ros.reason import Reason
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
-OUT_OF_LINE = 4.0  # standard deviations
 SETTLE = 4  # rounds for decisions and readiness to agree; else the next tick goes on
-SLOW = 3  # intervals longer than max_age in a row that make a slow sensor of a silent one
-MOST_REMARKS = 1000  # kept for people
 
 Messages = list[Composition]
 
@@ -48,27 +39,23 @@ class Engine:
 
     def __init__(self, setup: Setup) -> None:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
-        self._design, self._live = setup.design, setup.live
+        self._design = setup.design
         self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
+        self._intake = Intake(self._bank, self._clock)
+        self._stand_in = StandIn(setup.design, self._bank, self._clock, setup.live,
+                                 self._intake.held)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
             for s in setup.design.sensors}
-        self._remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
-                   self._remarks.append) for i, plan in enumerate(setup.streams)]
-        self._counts: Counter[tuple[str, Reason]] = Counter()  # by channel
+                   self._intake.say) for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
-        self._isolated: Report = Report({}, frozenset())
-        self._held: dict[str, float] = {}  # by sensor: the last value worth holding
-        self._last: dict[str, int] = {}  # by sensor: its last stamp
-        self._long: dict[str, int] = {}  # by sensor: long intervals in a row
-        self._slow: set[str] = set()  # sensors that were said to be
-        self._estimates = 0
+        self._isolated: IsolationReport = IsolationReport({}, frozenset())
         self._starts = 0
         self._moved = 0.0  # when simulated time did, by a steady clock
         self._turned = False  # a decision has changed
@@ -101,9 +88,9 @@ class Engine:
             self._moved = steady
         if not jump:
             return
-        self._remarks.append(Remark('warning', Reason.of(
+        self._intake.say('warning', Reason.of(
             'clock jumped ahead' if jump > 0 else 'clock jumped back',
-            seconds=abs(jump) * 1e-9), 'clock'))
+            seconds=abs(jump) * 1e-9), 'clock')
         self._start_anew()
         if jump < 0:
             for stream in self._streams:
@@ -124,8 +111,7 @@ class Engine:
     def _start_anew(self) -> None:
         self._restart()
         self._ticks.restart()
-        self._last.clear()
-        self._long.clear()
+        self._intake.forget()
 
     def _restart(self) -> None:
         self._starts += 1
@@ -157,17 +143,7 @@ class Engine:
 
     def learn(self, stream: int, message: Message, received: int) -> None:
         """Take what a message says. received: its time when it has no stamp."""
-        where = self._streams[stream]
-        stamp = message.stamp or self._unstamped(received)
-        for channel, value in zip(where.channels, message.values):
-            if value.__class__ is float:
-                channel.readings += 1
-                if stamp:
-                    self._feed(channel, stamp, value)
-            elif not message.foreign and not (
-                    is_absent(value) and where.fresh(channel.name)):
-                assert isinstance(value, Reason)  # no other driver sends it, either
-                self.count(channel.name, value)
+        self._intake.readings(self._streams[stream], message, received)
 
     def unreadable(self, stream: int) -> None:
         """Note that something arrived on a stream that is no message."""
@@ -177,57 +153,22 @@ class Engine:
 
     def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
         """Take a command; it counts from its stamp, or from when it was received."""
-        if isinstance(value, Reason):
-            self.count(name, value)
-        elif stamp := stamp or self._unstamped(received):
-            reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
-            if reason is not None:
-                self.count(name, reason)
+        self._intake.command(name, value, stamp, received)
 
     def count(self, name: str, why: Reason) -> None:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
-        self._counts[name, why] += 1
-        self._remarks.append(Remark('warning', Reason.of(
-            'counted', name=name, why=why, count=self._counts[name, why]), (name, why)))
-
-    def _unstamped(self, received: int) -> int:
-        """Return the time that counts for a message without a stamp; 0: time has not begun."""
-        return self._clock.now if self._clock.simulated else received
-
-    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
-        name = channel.name
-        reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
-        if reason is None:
-            self._held[name] = value
-            before, self._last[name] = self._last.get(name, stamp), stamp
-            if stamp - before > channel.max_age:
-                self._time(channel, stamp - before)
-            elif name in self._long:
-                del self._long[name]
-        elif reason.code != 'isolated':  # what it says then is compared, and not worth a word
-            self.count(name, reason)
-
-    def _time(self, channel: Channel, interval: int) -> None:
-        """Say once when a sensor is slower than the silence that makes it invalid."""
-        name = channel.name
-        self._long[name] = self._long.get(name, 0) + 1
-        if self._long[name] == SLOW and name not in self._slow:
-            self._slow.add(name)
-            self._remarks.append(Remark('warning', Reason.of(
-                'slow sensor', name=name, seconds=interval * 1e-9,
-                max_age=channel.max_age * 1e-9), ('slow', name)))
+        self._intake.count(name, why)
 
     # ------------------------------------------------------------------------------- requests
 
-    def isolate(self, report: Report) -> Messages:
+    def isolate(self, report: IsolationReport) -> Messages:
         """Take what isolation says in all: see `together`."""
         self._isolated = report
         reported = frozenset(report.faulty)
         if reported == self._switch.reported:
             return []
         names = ', '.join(s for s in self._design.sensors if s in reported)
-        self._remarks.append(Remark(
-            'info', Reason.of('faulty sensors', names=names or 'none'), 'faulty'))
+        self._intake.say('info', Reason.of('faulty sensors', names=names or 'none'), 'faulty')
         return self._command(lambda time: self._switch.isolate(reported, time))
 
     def force(self, name: str) -> Messages:
@@ -249,18 +190,18 @@ class Engine:
 
     def apply(self, live: Live) -> Messages:
         """Take over settings that may change."""
-        if live.time_constant != self._live.time_constant:
+        if live.time_constant != self._stand_in.live.time_constant:
             for channel in self._channels.values():
                 channel.blend = channel.blend.with_time_constant(
                     live.time_constant, self._clock.lasting())
-        self._live = live
+        self._stand_in.live = live
         self._watch()
         return self._command(lambda _: self._switch.with_policies(live.policies))
 
     def _watch(self) -> None:
         """Note whose silence counts."""
         self._watched = [(name, stream) for stream in self._streams for name in stream.names
-                         if self._live.policies[name].silent_is_faulty]
+                         if self._stand_in.live.policies[name].silent_is_faulty]
 
     def _command(self, act: Callable[[int], Switch]) -> Messages:
         self._switch = act(self._clock.lasting())
@@ -300,20 +241,6 @@ class Engine:
         if silent != before:
             self._switch = self._switch.silence(silent, self._clock.lasting())
 
-    def _ready(self, fault_set: tuple[str, ...], name: str) -> bool:
-        return self._bank.ready(fault_set, name) and not self._too_uncertain(fault_set, name)
-
-    def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
-        limit = self._live.max_deviation[name]
-        return limit > 0.0 and not self._bank.deviation(fault_set, name) <= limit
-
-    def _why_not(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
-        reason = _reason(self._bank.why_not(fault_set, name))
-        if reason is None and self._too_uncertain(fault_set, name):
-            return Reason.of('too uncertain', limit=self._live.max_deviation[name],
-                             deviation=self._bank.deviation(fault_set, name))
-        return reason
-
     def _decide(self) -> tuple[Messages, list[Stream]]:
         """Let the switch decide, the bank follow; return what the streams that changed say."""
         self._ticks.catch_up()
@@ -322,7 +249,8 @@ class Engine:
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
                 self._bank.distrust(self._believed)
-            self._switch = self._switch.decide(self._clock.lasting(), self._ready, self._why_not)
+            self._switch = self._switch.decide(
+                self._clock.lasting(), self._stand_in.ready, self._stand_in.why_not)
             if self._switch.faulty == self._believed:
                 break
         changed = {s for s, d in self._switch.decisions.items()
@@ -334,75 +262,8 @@ class Engine:
         at = self._ticks.time
         return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
 
-    # ----------------------------------------------------------------------------- what goes out
-
     def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
-        """Return what stands in for the failed channels of a stream at the time of the state."""
-        wanted: dict[str, Wanted] = {}
-        passing = set()
-        for channel in stream.channels:
-            name, decision = channel.name, self._switch.decisions[channel.name]
-            if decision.source is Source.REAL:
-                if name in stream.failed or name in stream.passing:
-                    channel.why = None
-                continue
-            estimate = self._estimate(channel, decision.fault_set) \
-                if decision.source is Source.VIRTUAL else None
-            if estimate is not None:
-                channel.why = None
-                wanted[name] = estimate
-                continue
-            action = self._without_estimate(channel, decision)
-            if action == 'pass':
-                passing.add(name)
-            else:
-                wanted[name] = Wanted({'stop': None, 'nan': math.nan}.get(
-                    action, self._held.get(name)))
-        stream.fail(frozenset(wanted), frozenset(passing))
-        if not wanted:
-            return []
-        made, troubles = stream.compose(at, wanted, at_once)
-        for name, trouble in troubles.items():
-            self._lacks(name, trouble)
-        return made
-
-    def _without_estimate(self, channel: Channel, decision: Decision) -> str:
-        """Note that nobody serves a channel, and why; return what goes out instead."""
-        channel.stop(self._clock.lasting())
-        action = self._live.without_estimate
-        if action == 'hold' and channel.name not in self._held:
-            action = 'stop'
-        why = decision.reason if decision.source is Source.NONE else \
-            self._why_not(decision.fault_set, channel.name)
-        channel.why = Reason.of('instead', why=why or Reason('ready just now'),
-                                instead=Reason(action))
-        return action
-
-    def _lacks(self, name: str, trouble: Reason | None) -> None:
-        """Note that a failed channel has no message; None: NaN is in it, because of others."""
-        channel = self._channels[name]
-        if trouble is not None:
-            channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))
-        elif channel.why is not None:
-            channel.why = Reason.of('instead', why=channel.why.fact('why'), instead=Reason('nan'))
-
-    def _estimate(self, channel: Channel, fault_set: tuple[str, ...]) -> Wanted | None:
-        value = self._bank.estimate(fault_set, channel.name)
-        if value is None:
-            return None
-        above, deviation = None, self._bank.deviation(fault_set, channel.name)
-        if channel.source == REAL:  # what went out last may be the fault
-            known = self._bank.disagreement(fault_set, channel.name)
-            above = math.nan if known is None else known
-        elif channel.source == VIRTUAL and fault_set != channel.fault_set:
-            entry = self._design.entries[channel.fault_set, channel.name]
-            fault = isinstance(entry, VirtualSensor) and self._believed.intersection(entry.reads)
-            left = channel.value - channel.blend.left(self._clock.lasting()) - value
-            if fault and abs(left) > OUT_OF_LINE * deviation:
-                above = math.nan  # what it read was faulty already
-        entry = self._design.entries[fault_set, channel.name]
-        return Wanted(value, fault_set, deviation, None,
-                      entry.grade if isinstance(entry, VirtualSensor) else '', above)
+        return self._stand_in.speak(stream, self._switch.decisions, self._believed, at, at_once)
 
     def done(self, composition: Composition, trouble: Reason | None = None) -> None:
         """
@@ -412,31 +273,21 @@ class Engine:
         why its channels have no source.
         """
         stream = self._streams[composition.stream]
-        if trouble is not None and trouble.code in ('not sent', 'mistake'):
-            self.count(stream.names[0], trouble)
-            return
         if trouble is None:
-            stream.sent(composition)
-        names = [stream.names[i] for i, _ in composition.fields]
-        if trouble is not None:
-            stream.trouble(names, trouble)
-        for name, (_, field) in zip(names, composition.fields):
-            if not isinstance(field, Substitute):
-                continue
-            if trouble is not None:
-                self._lacks(name, trouble)
-            elif field.fault_set is not None:
-                self._held[name] = field.value
-                self._estimates += 1
+            self._stand_in.sent(stream, composition)
+        elif trouble.code in ('not sent', 'mistake'):
+            self.count(stream.names[0], trouble)
+        else:
+            self._stand_in.failed(stream, composition, trouble)
 
     # ----------------------------------------------------------------------- what can be seen
 
     def remarks(self) -> list[Remark]:
         """Return what is to be said to people, once."""
-        if not self._remarks:
+        if not self._intake.remarks:
             return []
-        said = list(self._remarks)
-        self._remarks.clear()
+        said = list(self._intake.remarks)
+        self._intake.remarks.clear()
         return said
 
     def changed(self) -> bool:
@@ -463,7 +314,7 @@ class Engine:
         return EngineState(
             tuple(self._state(stream, channel, faulty, stopped(still))
                   for stream in self._streams for channel in stream.channels),
-            faulty, self._ticks.count, self._ticks.left_out, self._estimates,
+            faulty, self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             dict(self._clock.jumps), self._starts, still)
 
     def _state(self, stream: Stream, channel: Channel, faulty: tuple[str, ...],
@@ -501,7 +352,7 @@ class Engine:
             _seconds(recovering, lasting), math.nan, serves,
             self._bank.outside_region(key, name), _total(self._bank.outside_domain, name),
             _total(self._bank.restarts, name),
-            {why: count for (of, why), count in self._counts.items() if of == name},
+            {why: count for (of, why), count in self._intake.counts.items() if of == name},
             channel.readings)
 
 
@@ -517,10 +368,3 @@ def _seconds(since: int | None, now: int) -> float:
 
 
 
-
-def _reason(said):  # until the bank says it so itself
-    if said is None or isinstance(said, Reason):
-        return said
-    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
-    from vsensor_ros.reason import SENTENCES
-    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)

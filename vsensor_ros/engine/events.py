@@ -70,7 +70,7 @@ class Remark(NamedTuple):
     subject: object  # what it is about: one remark on it now and then will do
 
 
-class Report(NamedTuple):
+class IsolationReport(NamedTuple):
     """What one source of isolation says now."""
 
     faulty: Mapping[str, int]  # the faulty sensors, each with the time since which it is
@@ -80,14 +80,14 @@ class Report(NamedTuple):
 class IsolationSource(Protocol):
     """Somebody who finds out which sensors have failed."""
 
-    def report(self) -> Report:
+    def report(self) -> IsolationReport:
         """Return who is faulty now, whom it knows, and since when."""
 
 
-def together(*reports: Report) -> Report:
+def together(*reports: IsolationReport) -> IsolationReport:
     """Return what several sources say in all: faulty is whom any of them takes for it."""
     faulty: dict[str, int] = {}
     for report in reports:
         for name, since in report.faulty.items():
             faulty[name] = min(since, faulty.get(name, since))
-    return Report(faulty, frozenset().union(*(report.knows for report in reports)))
+    return IsolationReport(faulty, frozenset().union(*(report.knows for report in reports)))

@@ -19,7 +19,6 @@ from vsensor_ros.engine.events import (
     Composition,
     Forward,
     Message,
-    Remark,
     Substitute,
     Token,
 )
@@ -47,7 +46,7 @@ class Stream:
     """The messages of one input, on their way to one output."""
 
     def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
-                 say: Callable[[Remark], object]) -> None:
+                 say: Callable[[str, Reason, object], object]) -> None:
         """Begin with nothing heard; channels: those of the plan, in its order."""
         self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
         self.active = False  # sends
@@ -154,9 +153,9 @@ class Stream:
         return Forward(changed) if changed else AS_IT_CAME
 
     def _step_back(self, seconds: float) -> None:
-        self._say(Remark('error', Reason.of(
+        self._say('error', Reason.of(
             'stamps step back', topic=self.plan.source, output=self.plan.output,
-            seconds=seconds), ('stamps', self.index)))
+            seconds=seconds), ('stamps', self.index))
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
@@ -276,9 +275,9 @@ class Stream:
             assert sender.blocked is not None
             return NOT_NEWER if now - sender.blocked > self._longest else None
         if sender.apart and not sender.composed:
-            self._say(Remark('error', Reason.of(
+            self._say('error', Reason.of(
                 'clock of its own', topic=self.plan.source, seconds=sender.offset * 1e-9),
-                ('clock', self.index)))
+                ('clock', self.index))
         return Composition(
             self.index, sender.number, sender.template, sender.first, self._silent(sender), stamp,
             time, tuple((i, self._field(channel, wanted.get(channel.name), time))

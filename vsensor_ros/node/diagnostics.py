@@ -14,8 +14,7 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from vsensor_ros.engine.state import ChannelState, EngineState
-from vsensor_ros.engine.switch import Policy
+from vsensor_ros.engine import ChannelState, EngineState, Policy
 from vsensor_ros.observers.virtual_sensor import Design
 from vsensor_ros.reason import Reason
 

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine.events import Substitute
+from vsensor_ros.engine import Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 

@@ -8,8 +8,7 @@ from typing import Any
 
 from rclpy.subscription import Subscription
 
-from vsensor_ros.engine.engine import Engine
-from vsensor_ros.engine.events import Forward
+from vsensor_ros.engine import Engine, Forward
 from vsensor_ros.node.cdr import Reader
 from vsensor_ros.node.endpoints import Command
 from vsensor_ros.node.log import Log

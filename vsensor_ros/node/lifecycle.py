@@ -26,7 +26,7 @@ from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.engine.settings import Live
+from vsensor_ros.engine import Live
 from vsensor_ros.node.loop import run
 from vsensor_ros.node.parameters import (
     check_addressed,

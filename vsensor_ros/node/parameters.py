@@ -18,8 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.engine import Policy
-from vsensor_ros.engine.settings import Live
+from vsensor_ros.engine import Live, Policy
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN

@@ -18,10 +18,16 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.engine.engine import Engine
-from vsensor_ros.engine.events import Composition, Substitute, together
-from vsensor_ros.engine.settings import Live, Setup
-from vsensor_ros.engine.state import EngineState
+from vsensor_ros.engine import (
+    Composition,
+    Engine,
+    EngineState,
+    IsolationSource,
+    Live,
+    Setup,
+    Substitute,
+    together,
+)
 from vsensor_ros.node.estimates import Estimates
 from vsensor_ros.node.intake import commands_taker, not_sent, take_readings
 from vsensor_ros.node.log import Log
@@ -71,6 +77,7 @@ class Replacer:
             Statuses(settings.design.sensors, settings.isolation_topic == DIAGNOSTICS_TOPIC)
             if settings.isolation_type == DIAGNOSTICS else Text(settings.design.sensors),
             lambda text, subject: self.log.say(text, subject=subject))
+        self.sources: tuple[IsolationSource, ...] = (self.reports,)
         self.start = Start(self.reports, self.engine.heard_any,
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
@@ -207,8 +214,8 @@ class Replacer:
             return taken
 
     def _take_isolation(self) -> int:
-        report = self.reports.take(self.engine.now)
-        self._send(self.engine.isolate(together(report)))
+        self.reports.take(self.engine.now)
+        self._send(self.engine.isolate(together(*(s.report() for s in self.sources))))
         return 0
 
     def _tick(self) -> None:

@@ -19,8 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
-from vsensor_ros.engine import isolation
-from vsensor_ros.engine.events import Report
+from vsensor_ros.engine import isolation, IsolationReport
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.polling import DEPTH, drain, LISTEN_RELIABLY, Polled, subscribe
 from vsensor_ros.reason import Reason
@@ -108,9 +107,9 @@ class Reports:
         self.not_used = 0  # messages that were not used, or not wholly
         self.thrown_away = 0  # of these, not even read
 
-    def report(self) -> Report:
+    def report(self) -> IsolationReport:
         """Return who is faulty now, of whom anything was said, and since when."""
-        return Report(dict(self._faulty), frozenset(self._said))
+        return IsolationReport(dict(self._faulty), frozenset(self._said))
 
     @property
     def known(self) -> bool:
@@ -121,8 +120,8 @@ class Reports:
         """
         return not self._behind and self._told >= self._late.get_publisher_count()
 
-    def take(self, now: int) -> Report:
-        """Take all that has arrived by this time [ns]; return what it comes to."""
+    def take(self, now: int) -> None:
+        """Take all that has arrived by this time [ns]."""
         live, late = drain(self._live, MOST), drain(self._late, MOST)
         self._behind = MOST in (len(live), len(late))
         self._told += len(late)
@@ -138,7 +137,6 @@ class Reports:
                 del self._heard[sent, raw]
             else:
                 self.apply(sent, raw, now, late=True)
-        return self.report()
 
     def apply(self, sent: int, raw: bytes, now: int, late: bool = False) -> None:
         """

@@ -17,7 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from vsensor_ros.engine.state import ChannelState, EngineState
+from vsensor_ros.engine import ChannelState, EngineState
 from vsensor_ros.node.diagnostics import (
     channel_facts,
     describe,

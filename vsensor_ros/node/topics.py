@@ -13,8 +13,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from vsensor_ros.engine.events import ANYBODYS, Composition, Forward, Substitute
-from vsensor_ros.engine.settings import StreamPlan
+from vsensor_ros.engine import ANYBODYS, Composition, Forward, StreamPlan, Substitute
 from vsensor_ros.node.accessor import compile_holder, has_stamp, put_stamp, trace
 from vsensor_ros.node.cdr import decode, Reader, Reading
 from vsensor_ros.node.endpoints import Sensor

@@ -1,0 +1,223 @@
+"""The engine, told of events without any node: what it forwards, says and shows."""
+
+import math
+from typing import NamedTuple
+
+import pytest
+
+from vsensor_ros.engine import (
+    ANYBODYS,
+    Engine,
+    Forward,
+    IsolationReport,
+    Live,
+    Policy,
+    Setup,
+    StreamPlan,
+    Substitute,
+    together,
+)
+from vsensor_ros.reason import Reason
+
+SECOND = 10**9
+PERIOD = SECOND // 100
+ABSENT = Reason.of('not in the message', field='position[a]')
+
+
+class Said(NamedTuple):
+    """A message, as far as an engine is concerned."""
+
+    stamp: int | None
+    values: tuple
+    foreign: bool = False
+
+
+def faulty(*names):
+    return IsolationReport(dict.fromkeys(names, 0), frozenset(names))
+
+
+class Machine:
+    """Two sensors, y2 twice y1, in one message or each in its own; time goes on by periods."""
+
+    def __init__(self, bench, shared=False, simulated=True, **live):
+        twice = [bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',)),
+                 bench.virtual_sensor([], [], Q=[[0.5]], fault_set=('y1',), healthy=('y2',))]
+        settings = {'without_estimate': 'stop', 'time_constant': 0.0,
+                    'policies': {s: Policy(dwell=0.0) for s in ('y1', 'y2')},
+                    'max_deviation': {'y1': 0.0, 'y2': 0.0}, **live}
+        streams = (StreamPlan(('y1', 'y2'), '/in', '/out', True),) if shared else (
+            StreamPlan(('y1',), '/y1_raw', '/y1', True),
+            StreamPlan(('y2',), '/y2_raw', '/y2', True))
+        self.engine = Engine(Setup(bench.design(*twice), 100.0, {'y1': 0.5, 'y2': 0.5}, 10.0,
+                                   streams, simulated, Live(**settings)))
+        self.shared, self.now, self.sent = shared, 1000 * SECOND, []
+        self.engine.look(self.now, 0.0)
+        self.engine.activate()
+
+    def hear(self, stream, *values, stamp=None, token='message', **more):
+        message = Said(self.now if stamp is None else stamp, values, **more)
+        verdict = self.engine.judge(stream, message, token)
+        self.engine.learn(stream, message, self.now)
+        return verdict
+
+    def step(self, y1, y2, periods=1):
+        """Let both sensors speak and time go on; return the verdicts on the last messages."""
+        for _ in range(periods):
+            self.now += PERIOD
+            verdicts = [self.hear(0, y1, y2)] if self.shared else \
+                [self.hear(0, y1), self.hear(1, y2)]
+            self.pass_time()
+        return verdicts
+
+    def pass_time(self, periods=0):
+        self.now += periods * PERIOD
+        self.engine.look(self.now, 1e-9 * self.now)
+        for at in self.engine.ticks():
+            self.send(self.engine.tick(at))
+
+    def isolate(self, *names):
+        self.send(self.engine.isolate(faulty(*names)))
+
+    def send(self, made):
+        for composition in made:
+            self.sent.append(composition)
+            self.engine.done(composition)
+
+    def state(self, name):
+        return next(c for c in self.engine.snapshot(1e-9 * self.now).channels if c.name == name)
+
+
+def test_the_healthy_go_on_as_they_came(bench):
+    m = Machine(bench)
+    assert m.step(1.5, 3.0, 20) == [Forward({}), Forward({})] and not m.sent
+    assert m.state('y2').source == 'real' and m.state('y2').value == 3.0
+    assert m.hear(1, 3.0) == Reason('not newer')
+    assert m.state('y2').counts == {Reason('not newer'): 1, Reason('duplicate stamp'): 1}
+
+
+def test_a_failed_one_is_spoken_for_from_its_last_message(bench):
+    m = Machine(bench)
+    m.step(1.5, 3.0, 20)
+    m.isolate('y2')
+    assert m.step(2.0, 99.0, 5) == [Forward({}), None]
+    last = m.sent[-1]
+    assert last.stream == 1 and last.template == 'message' and last.stamp == m.now
+    (index, said), = last.fields
+    assert index == 0 and isinstance(said, Substitute) and said.fault_set == ('y2',)
+    assert said.value == 4.0 and said.grade == 'exact' and said.interval is None
+    y2 = m.state('y2')
+    assert (y2.source, y2.value, y2.switches, str(y2.reason)) == ('virtual', 4.0, 1, 'isolated')
+    assert m.state('y1').source == 'real' and m.state('y1').switches == 0
+    m.isolate()
+    assert m.step(2.0, 4.0) == [Forward({}), Forward({})] and m.state('y2').switches == 2
+
+
+def test_the_others_of_its_message_stay_live(bench):
+    m = Machine(bench, shared=True, without_estimate='nan')
+    m.step(1.5, 3.0, 20)
+    m.isolate('y2')
+    m.step(2.0, 99.0, 2)
+    (first, live), (second, said) = m.sent[-1].fields
+    assert (first, live, second, said.value) == (0, 2.0, 1, 4.0)
+    assert m.hear(0, ABSENT, 99.0, stamp=m.now + 1) is None
+    for _ in range(60):  # all are silent
+        m.pass_time(1)
+    assert m.sent[-1].blank and m.sent[-1].fields[0] == (0, None)
+
+
+def test_messages_of_others_pass_unless_they_may_be_of_the_failed(bench):
+    m = Machine(bench, shared=True)
+    m.step(1.5, 3.0, 20)
+    other = Said(m.now + 1, (ABSENT, ABSENT), True)
+    assert m.engine.failed_templates(0) == []
+    assert m.engine.judge(0, other, 'other') == Forward({})
+    m.isolate('y2')
+    (number, template), = m.engine.failed_templates(0)
+    assert template == 'message'
+    assert m.engine.judge(0, other, 'other') == Forward({})  # of joints that are nobody's
+    assert m.engine.judge(0, other, 'other', ANYBODYS) is None
+    assert m.engine.judge(0, other, 'other', number) is None
+
+
+def test_an_offset_dies_out_both_ways(bench):
+    m = Machine(bench, time_constant=0.1)
+    m.step(1.5, 3.25, 400)  # a quarter more than the model says
+    m.isolate('y2')
+    said = m.sent[-1].fields[0][1]
+    assert said.value == pytest.approx(3.25) and said.offset == pytest.approx(0.25)
+    m.step(1.5, 99.0, 100)
+    assert m.sent[-1].fields[0][1].value == pytest.approx(3.0, abs=1e-3)
+    m.isolate()
+    changed = m.step(1.5, 3.25)[1].changed
+    assert changed[0] == pytest.approx(3.25 - 0.25 * math.exp(-0.1), abs=0.03)
+
+
+@pytest.mark.parametrize('instead, value', [('stop', None), ('nan', math.nan), ('hold', 3.0)])
+def test_without_an_estimate(bench, instead, value):
+    m = Machine(bench, without_estimate=instead)
+    m.step(1.5, 3.0, 20)
+    m.isolate('y1', 'y2')
+    before = len(m.sent)
+    m.step(9.0, 99.0, 3)
+    y2 = m.state('y2')
+    assert y2.source == 'none' and math.isnan(y2.value)
+    assert y2.reason.code == 'instead' and y2.reason.fact('instead') == Reason(instead)
+    assert y2.reason.fact('why').code == 'no design'
+    if value is None:
+        assert len(m.sent) == before
+    else:
+        said = m.sent[-1].fields[0][1]
+        assert said.value == pytest.approx(value, nan_ok=True) and said.fault_set is None
+
+
+def test_a_message_that_cannot_be_made_is_why_there_is_no_source(bench):
+    m = Machine(bench)
+    m.step(1.5, 3.0, 20)
+    made = m.engine.isolate(faulty('y2'))
+    m.engine.done(made[0], Reason.of('does not fit', value='1e99', field='range', type='float'))
+    assert m.state('y2').source == 'none' and 'does not fit' in str(m.state('y2').reason)
+    assert m.engine.snapshot(0.0).estimates == 0
+    m.engine.done(made[0], Reason.of('not sent', text='out of memory'))
+    assert m.state('y2').counts == {Reason.of('not sent', text='out of memory'): 1}
+    m.pass_time(1)
+    m.step(1.5, 3.0)
+    assert m.state('y2').source == 'virtual'
+
+
+def test_what_is_to_be_said_is_said_once(bench):
+    m = Machine(bench)
+    m.step(1.5, 3.0, 20)
+    m.isolate('y2')
+    said = [str(remark.what) for remark in m.engine.remarks()]
+    assert said == ['faulty sensors: y2'] and m.engine.remarks() == []
+    assert m.engine.changed() and not m.engine.changed()
+    m.now -= 5 * SECOND
+    m.pass_time()
+    assert str(m.engine.remarks()[0].what).startswith('the clock jumped back by 5.0 s')
+    state = m.engine.snapshot(0.0)
+    assert state.jumps == {'backwards': 1} and state.starts == 1
+
+
+def test_several_sources_of_isolation():
+    one = IsolationReport({'y1': 5, 'y2': 7}, frozenset(('y1', 'y2', 'y3')))
+    two = IsolationReport({'y2': 6}, frozenset(('y2', 'y4')))
+    assert together(one, two) == IsolationReport(
+        {'y1': 5, 'y2': 6}, frozenset(('y1', 'y2', 'y3', 'y4')))
+    assert together() == IsolationReport({}, frozenset())
+
+
+def test_since_when_isolation_says_so(bench):
+    m = Machine(bench)
+    m.step(1.5, 3.0, 20)
+    m.engine.isolate(IsolationReport({'y2': m.now - SECOND}, frozenset(('y2',))))
+    assert m.state('y2').isolated_s == pytest.approx(1.0)
+    assert math.isnan(m.state('y1').isolated_s)
+
+
+@pytest.mark.parametrize('rate, told', [(0.0, 'rate'), (math.nan, 'rate')])
+def test_a_setup_that_will_not_do(bench, rate, told):
+    m = Machine(bench)
+    with pytest.raises(ValueError, match=told):
+        Engine(Setup(m.engine._design, rate, {'y1': 0.5, 'y2': 0.5}, 10.0,
+                     (StreamPlan(('y1',), '/a', '/b', True), StreamPlan(
+                         ('y2',), '/c', '/d', True)), True, m.engine._stand_in.live))

@@ -1,0 +1,100 @@
+"""What comes in, and what of it is not used: readings and commands on their way to the bank."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+from vsensor_ros.bank import Bank
+from vsensor_ros.engine.channel import Channel
+from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.events import Message, Remark
+from vsensor_ros.engine.stream import is_absent, Stream
+from vsensor_ros.reason import Reason
+
+SLOW = 3  # intervals longer than max_age in a row that make a slow sensor of a silent one
+MOST_REMARKS = 1000  # kept for people
+
+
+class Intake:
+    """Takes readings and commands; counts what is not used, by channel and reason."""
+
+    def __init__(self, bank: Bank, clock: Clock) -> None:
+        self.held: dict[str, float] = {}  # by sensor: the last value worth holding
+        self.counts: Counter[tuple[str, Reason]] = Counter()
+        self.remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
+        self._bank, self._clock = bank, clock
+        self._last: dict[str, int] = {}  # by sensor: its last stamp
+        self._long: dict[str, int] = {}  # by sensor: long intervals in a row
+        self._slow: set[str] = set()  # sensors that were said to be
+
+    def count(self, name: str, why: Reason) -> None:
+        """Count, and say now and then, what of a channel was not used or not sent, and why."""
+        self.counts[name, why] += 1
+        self.remarks.append(Remark('warning', Reason.of(
+            'counted', name=name, why=why, count=self.counts[name, why]), (name, why)))
+
+    def say(self, level: str, what: Reason, subject: object) -> None:
+        """Let people hear something."""
+        self.remarks.append(Remark(level, what, subject))
+
+    def readings(self, stream: Stream, message: Message, received: int) -> None:
+        """Take what a message says of its channels. received: its time when it has no stamp."""
+        stamp = message.stamp or self._unstamped(received)
+        for channel, value in zip(stream.channels, message.values):
+            if value.__class__ is float:
+                channel.readings += 1
+                if stamp:
+                    self._feed(channel, stamp, value)
+            elif not message.foreign and not (
+                    is_absent(value) and stream.fresh(channel.name)):
+                assert isinstance(value, Reason)  # no other driver sends it, either
+                self.count(channel.name, value)
+
+    def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
+        """Take a command; it counts from its stamp, or from when it was received."""
+        if isinstance(value, Reason):
+            self.count(name, value)
+        elif stamp := stamp or self._unstamped(received):
+            reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+            if reason is not None:
+                self.count(name, reason)
+
+    def forget(self) -> None:
+        """Begin anew after the clock jumped."""
+        self._last.clear()
+        self._long.clear()
+
+    def _unstamped(self, received: int) -> int:
+        """Return the time that counts for a message without a stamp; 0: time has not begun."""
+        return self._clock.now if self._clock.simulated else received
+
+    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
+        name = channel.name
+        reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+        if reason is None:
+            self.held[name] = value
+            before, self._last[name] = self._last.get(name, stamp), stamp
+            if stamp - before > channel.max_age:
+                self._time(channel, stamp - before)
+            elif name in self._long:
+                del self._long[name]
+        elif reason.code != 'isolated':  # what it says then is compared, and not worth a word
+            self.count(name, reason)
+
+    def _time(self, channel: Channel, interval: int) -> None:
+        """Say once when a sensor is slower than the silence that makes it invalid."""
+        name = channel.name
+        self._long[name] = self._long.get(name, 0) + 1
+        if self._long[name] == SLOW and name not in self._slow:
+            self._slow.add(name)
+            self.say('warning', Reason.of(
+                'slow sensor', name=name, seconds=interval * 1e-9,
+                max_age=channel.max_age * 1e-9), ('slow', name))
+
+
+def _reason(said):  # until the bank says it so itself
+    if said is None or isinstance(said, Reason):
+        return said
+    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
+    from vsensor_ros.reason import SENTENCES
+    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)

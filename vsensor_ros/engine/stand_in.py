@@ -1,0 +1,143 @@
+"""What goes out in place of failed sensors: estimates, or what there is without them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+import math
+
+from vsensor_ros.bank import Bank
+from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.events import Composition, Substitute
+from vsensor_ros.engine.settings import Live
+from vsensor_ros.engine.stream import Stream, Wanted
+from vsensor_ros.engine.switch import Decision, Source
+from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.reason import Reason
+
+OUT_OF_LINE = 4.0  # standard deviations
+
+
+class StandIn:
+    """Speaks for failed channels, without a step where one source follows another."""
+
+    def __init__(self, design: Design, bank: Bank, clock: Clock, live: Live,
+                 held: dict[str, float]) -> None:
+        """Begin; held: by sensor the last value worth holding, which this keeps up to date."""
+        self.live = live  # changes while it runs
+        self.estimates = 0  # that went out
+        self._design, self._bank, self._clock, self._held = design, bank, clock, held
+
+    def ready(self, fault_set: tuple[str, ...], name: str) -> bool:
+        """Tell whether a virtual sensor may serve."""
+        return self._bank.ready(fault_set, name) and not self._too_uncertain(fault_set, name)
+
+    def why_not(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
+        """Return why a virtual sensor may not serve, or None when it may."""
+        reason = _reason(self._bank.why_not(fault_set, name))
+        if reason is None and self._too_uncertain(fault_set, name):
+            return Reason.of('too uncertain', limit=self.live.max_deviation[name],
+                             deviation=self._bank.deviation(fault_set, name))
+        return reason
+
+    def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
+        limit = self.live.max_deviation[name]
+        return limit > 0.0 and not self._bank.deviation(fault_set, name) <= limit
+
+    def speak(self, stream: Stream, decisions: Mapping[str, Decision],
+              distrusted: Collection[str], at: int, at_once: bool = False) -> list[Composition]:
+        """
+        Return what stands in for the failed channels of a stream at the time of the state.
+
+        distrusted: sensors whose readings may have been faulty. at_once: see `Stream.compose`.
+        """
+        wanted: dict[str, Wanted] = {}
+        passing = set()
+        for channel in stream.channels:
+            name, decision = channel.name, decisions[channel.name]
+            if decision.source is Source.REAL:
+                if name in stream.failed or name in stream.passing:
+                    channel.why = None
+                continue
+            estimate = self._estimate(channel, decision.fault_set, distrusted) \
+                if decision.source is Source.VIRTUAL else None
+            if estimate is not None:
+                channel.why = None
+                wanted[name] = estimate
+                continue
+            action = self._without_estimate(channel, decision)
+            if action == 'pass':
+                passing.add(name)
+            else:
+                wanted[name] = Wanted({'stop': None, 'nan': math.nan}.get(
+                    action, self._held.get(name)))
+        stream.fail(frozenset(wanted), frozenset(passing))
+        if not wanted:
+            return []
+        made, troubles = stream.compose(at, wanted, at_once)
+        for channel in stream.channels:
+            if channel.name in troubles:
+                _note(channel, troubles[channel.name])
+        return made
+
+    def _estimate(self, channel: Channel, fault_set: tuple[str, ...],
+                  distrusted: Collection[str]) -> Wanted | None:
+        value = self._bank.estimate(fault_set, channel.name)
+        if value is None:
+            return None
+        above, deviation = None, self._bank.deviation(fault_set, channel.name)
+        if channel.source == REAL:  # what went out last may be the fault
+            known = self._bank.disagreement(fault_set, channel.name)
+            above = math.nan if known is None else known
+        elif channel.source == VIRTUAL and fault_set != channel.fault_set:
+            entry = self._design.entries[channel.fault_set, channel.name]
+            reads = entry.reads if isinstance(entry, VirtualSensor) else ()
+            left = channel.value - channel.blend.left(self._clock.lasting()) - value
+            if not set(distrusted).isdisjoint(reads) and abs(left) > OUT_OF_LINE * deviation:
+                above = math.nan  # what it read was faulty already
+        entry = self._design.entries[fault_set, channel.name]
+        return Wanted(value, fault_set, deviation, None,
+                      entry.grade if isinstance(entry, VirtualSensor) else '', above)
+
+    def _without_estimate(self, channel: Channel, decision: Decision) -> str:
+        """Note that nobody serves a channel, and why; return what goes out instead."""
+        channel.stop(self._clock.lasting())
+        action = self.live.without_estimate
+        if action == 'hold' and channel.name not in self._held:
+            action = 'stop'
+        why = decision.reason if decision.source is Source.NONE else \
+            self.why_not(decision.fault_set, channel.name)
+        channel.why = Reason.of('instead', why=why or Reason('ready just now'),
+                                instead=Reason(action))
+        return action
+
+    def sent(self, stream: Stream, composition: Composition) -> None:
+        """Note that a message went out."""
+        stream.sent(composition)
+        for i, field in composition.fields:
+            if isinstance(field, Substitute) and field.fault_set is not None:
+                self._held[stream.names[i]] = field.value
+                self.estimates += 1
+
+    def failed(self, stream: Stream, composition: Composition, trouble: Reason) -> None:
+        """Note that a message cannot be made, so that its channels have no source."""
+        stream.trouble([stream.names[i] for i, _ in composition.fields], trouble)
+        for i, field in composition.fields:
+            if isinstance(field, Substitute):
+                _note(stream.channels[i], trouble)
+
+
+def _note(channel: Channel, trouble: Reason | None) -> None:
+    """Note that a failed channel has no message; None: NaN is in it, because of others."""
+    if trouble is not None:
+        channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))
+    elif channel.why is not None:
+        channel.why = Reason.of('instead', why=channel.why.fact('why'), instead=Reason('nan'))
+
+
+def _reason(said):  # until the bank says it so itself
+    if said is None or isinstance(said, Reason):
+        return said
+    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
+    from vsensor_ros.reason import SENTENCES
+    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)
