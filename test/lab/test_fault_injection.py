@@ -13,10 +13,10 @@ import pytest
 import yaml
 
 from vsensor_ros.command.fault_injection import main
-from vsensor_ros.lab.demo_failover import reserved_domain
+from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.injection.suite import ALL
-from vsensor_ros.lab.injection.truth import make_world
-from vsensor_ros.lab.injection.verdict import Heard, judge, Out, path_of, Stated, Told
+from vsensor_ros.lab.injection.truth import compute_truth
+from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
 from vsensor_ros.plant import load_plant
 
 SERVO = Path(__file__).parents[2] / 'config' / 'servo'
@@ -127,17 +127,17 @@ def test_the_cases_are_listed(quick, capsys):
 # ------------------------------------------------------------------------------ the judge
 
 @pytest.fixture(scope='module')
-def world():
-    return make_world(load_plant(SERVO / 'plant.yaml'), None, 4.0)
+def truth():
+    return compute_truth(load_plant(SERVO / 'plant.yaml'), None, 4.0)
 
 
-def heard_of(world, **changed):
+def heard_of(truth, **changed):
     """Return what a flawless replacer would have sent, with y2 changed: row -> value."""
-    heard = Heard(100.0, spoken={'/out'}, ended=100.0 + world.end)
-    for k, time in enumerate(world.time):
-        values = {name: float(truth[k]) for name, truth in world.truth.items()}
-        heard.outs.append(Out('/out', 100.0 + time, round(time * 1e9), time, values, 'base',
-                              ('motor',)))
+    heard = Evidence(100.0, spoken={'/out'}, ended=100.0 + truth.end)
+    for k, time in enumerate(truth.time):
+        values = {name: float(values[k]) for name, values in truth.value.items()}
+        heard.outs.append(Out('/out', 100.0 + time, 100.0 + time, round(time * 1e9), time, values,
+                              'base', ('motor',)))
     return heard
 
 
@@ -147,69 +147,69 @@ def put(heard, rows, value):
         heard.outs[k] = out._replace(values={**out.values, 'y2': value(out.values['y2'])})
 
 
-def judged(heard, world, gives_numbers=False):
-    return judge(heard, world, {'/out': ('base', ('motor',))}, 0.05, gives_numbers)
+def judged(heard, truth, gives_numbers=False):
+    return judge(heard, truth, {'/out': ('base', ('motor',))}, 0.05, gives_numbers)
 
 
-def test_all_sensors_move_without_a_scenario(world):
-    assert min(world.span.values()) > 0.1
-    assert all(np.isfinite(truth).all() for truth in world.truth.values())
+def test_all_sensors_move_without_a_scenario(truth):
+    assert min(truth.span.values()) > 0.1
+    assert all(np.isfinite(values).all() for values in truth.value.values())
 
 
-def test_the_truth_passes(world):
-    assert judged(heard_of(world), world) == []
+def test_the_truth_passes(truth):
+    assert judged(heard_of(truth), truth) == []
 
 
 @pytest.mark.parametrize('value, words', [
     (lambda v: math.nan, 'are no numbers'), (lambda v: math.inf, 'are no numbers'),
     (lambda v: v + 10.0, 'are wrong')])
-def test_wrong_values_are_seen_unless_nobody_could_know(world, value, words):
-    heard = heard_of(world)
+def test_wrong_values_are_seen_unless_nobody_could_know(truth, value, words):
+    heard = heard_of(truth)
     put(heard, range(100, 110), value)
-    [wrong] = judged(heard, world)
+    [wrong] = judged(heard, truth)
     assert wrong.startswith('y2: 10 ') and words in wrong
     heard.blind['y2'] = [(100.99, 101.1)]
-    assert judged(heard, world) == []
+    assert judged(heard, truth) == []
 
 
-def test_nan_and_silence_are_right_without_a_source(world):
-    heard = heard_of(world)
+def test_nan_and_silence_are_right_without_a_source(truth):
+    heard = heard_of(truth)
     put(heard, range(100, 200), lambda v: math.nan)
-    assert len(judged(heard, world)) == 2  # NaN, and nothing for 1 s
-    heard.told += [Told(101.1, {'y2': {'source': 'none'}}), Told(101.95, {'y2': {
+    assert len(judged(heard, truth)) == 2  # NaN, and nothing for 1 s
+    heard.told += [StatusHeard(101.1, {'y2': {'source': 'none'}}), StatusHeard(101.95, {'y2': {
         'source': 'virtual'}})]
-    assert judged(heard, world) == []
+    assert judged(heard, truth) == []
     put(heard, range(100, 200), lambda v: 1e3)
-    assert len(judged(heard, world)) == 1  # a number is never right then
-    assert judged(heard, world, gives_numbers=True) == []  # but when it was asked for
+    assert len(judged(heard, truth)) == 1  # a number is never right then
+    assert judged(heard, truth, gives_numbers=True) == []  # but when it was asked for
 
 
-def test_a_stated_deviation_excuses_an_error_of_its_size_only(world):
-    heard = heard_of(world)
+def test_a_stated_deviation_excuses_an_error_of_its_size_only(truth):
+    heard = heard_of(truth)
     put(heard, [150], lambda v: v + 2.0)
-    heard.stated['y2'] = [Stated(100.0 + t, round(t * 1e9), 0.5) for t in world.time]
-    assert judged(heard, world) == []
+    heard.stated['y2'] = [Stated(100.0 + t, round(t * 1e9), 0.5) for t in truth.time]
+    assert judged(heard, truth) == []
     heard.stated['y2'] = [replaced._replace(deviation=0.1) for replaced in heard.stated['y2']]
-    assert len(judged(heard, world)) == 1
+    assert len(judged(heard, truth)) == 1
     heard.stated['y2'] = [replaced._replace(deviation=math.inf) for replaced in heard.stated['y2']]
-    assert len(judged(heard, world)) == 1
+    assert len(judged(heard, truth)) == 1
 
 
-def test_stamps_frames_gaps_and_bytes_are_seen(world):
-    heard = heard_of(world)
+def test_stamps_frames_gaps_and_bytes_are_seen(truth):
+    heard = heard_of(truth)
     heard.outs[50] = heard.outs[50]._replace(stamp=heard.outs[49].stamp, frame='')
     del heard.outs[200:300]
     heard = replace(heard, unreadable=2)
-    wrong = judged(heard, world)
+    wrong = judged(heard, truth)
     assert [next(word for word in ('nobody', 'increase', 'frame_id', 'nothing went out')
                  if word in line) for line in wrong] == [
         'nobody', 'increase', 'frame_id', *['nothing went out'] * 3]
     heard.loose.append((100.4, 100.6))
     heard.quiet.append((101.9, 103.1))
-    assert len(judged(heard, world)) == 2
+    assert len(judged(heard, truth)) == 2
 
 
 def test_paths():
-    told = [Told(0.0, {'y': {'source': source}}) for source in (
+    told = [StatusHeard(0.0, {'y': {'source': source}}) for source in (
         'real', 'silent', 'real', 'virtual', 'virtual', 'none', 'real')]
     assert path_of(told, 'y') == ['real', 'virtual', 'none', 'real']

@@ -22,9 +22,10 @@ import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.player import main
-from vsensor_ros.lab.demo_failover import reserved_domain
+from vsensor_ros.lab.domain import reserved_domain, take
+from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, play, START_TOPIC
-from vsensor_ros.lab.wiring import blank, read_wiring
+from vsensor_ros.lab.wiring import blank, wiring_of
 from vsensor_ros.node.accessor import get_stamp
 from vsensor_ros.simulate.fault import Channel, drop_out, freeze
 
@@ -48,9 +49,11 @@ def listen(node, kind, topic, qos=None):
 
 
 def taken(subscription):
-    with subscription.handle:
-        while found := subscription.handle.take_message(subscription.msg_type, False):
-            yield found[0]
+    return (message for message, _ in take(subscription))
+
+
+def read_wiring(path):
+    return wiring_of(read_parameters(path))
 
 
 def test_channels_of_one_message_travel_together(node):
