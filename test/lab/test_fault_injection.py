@@ -1,5 +1,6 @@
 """The fault-injection suite: on the real node, on one that lies, and its judge on its own."""
 
+from collections import Counter
 from dataclasses import replace
 import json
 import math
@@ -7,6 +8,7 @@ import os
 from pathlib import Path
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +16,21 @@ import yaml
 
 from vsensor_ros.command.fault_injection import main
 from vsensor_ros.lab.domain import reserved_domain
-from vsensor_ros.lab.injection.suite import ALL
+from vsensor_ros.lab.injection import suite
+from vsensor_ros.lab.injection.suite import ALL, CaseResult, QUICK, TRIES
 from vsensor_ros.lab.injection.truth import compute_truth
 from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
 from vsensor_ros.plant import load_plant
 
 SERVO = Path(__file__).parents[2] / 'config' / 'servo'
+
+# It falls over at 3 1/s. Each sensor can be replaced out of the other.
+PENDULUM = {
+    'name': 'pendulum', 'time': 'continuous', 'states': {'angle': {}, 'speed': {}},
+    'inputs': {'force': {}}, 'dynamics': {'angle': 'speed', 'speed': '9*angle + force'},
+    'sensors': {'y1': {'measures': 'angle'}, 'y2': {'measures': 'speed'}}}
+HELD = {'failed_sensor': 'y2', 'simulation': {
+    'initial': {'angle': 0.1}, 'inputs': {'force': '-30*angle - 8*speed + 5*sin(1.3*t)'}}}
 
 # It passes everything on, and says of itself what a replacer would.
 LIAR = """
@@ -115,10 +126,67 @@ def test_what_cannot_be_done_is_said_in_one_line(quick, tmp_path, capsys):
     assert capsys.readouterr().err.count('\n') == 1
 
 
-def test_the_cases_are_listed(quick, capsys):
-    assert main(['--list', *quick]) == 0
+@pytest.mark.parametrize('form', ['all', 'namespace'])
+def test_every_form_of_parameter_file_that_the_node_takes(quick, capsys, form):
+    path = Path(quick[3])
+    parameters = yaml.safe_load(path.read_text())['replacer']
+    path.write_text(yaml.safe_dump({'/**': parameters} if form == 'all' else {
+        'robot': {'replacer': parameters}}))
+    assert main(['--only', 'start', *quick]) == 0, capsys.readouterr().out
+    assert [(name, r['outcome']) for name, r in results_of(quick).items()] == [('start', 'PASS')]
+
+
+def test_a_replacer_on_simulated_time(quick, capsys):
+    path = Path(quick[3])
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'use_sim_time': True}},
+                                    **yaml.safe_load(path.read_text())}, sort_keys=False))
+    assert main(['--only', 'freeze,paused_clock', *quick]) == 0, capsys.readouterr().out
+    results = results_of(quick)
+    assert [r['outcome'] for r in results.values()] == ['PASS'] * 3
+    assert results['paused_clock']['seen'] == 'real > virtual > none > virtual > real'
+
+
+@pytest.fixture
+def pendulum(tmp_path):
+    """Return arguments for a plant that falls over unless its commands hold it."""
+    (tmp_path / 'plant.yaml').write_text(yaml.safe_dump(PENDULUM, sort_keys=False))
+    (tmp_path / 'demo.yaml').write_text(yaml.safe_dump(HELD))
+    joints = {'topic': '/pendulum', 'type': 'sensor_msgs/msg/JointState'}
+    (tmp_path / 'replacer.yaml').write_text(yaml.safe_dump({'replacer': {'ros__parameters': {
+        'design_file': 'none', 'recovery': {'dwell': 0.3},
+        'sensors': {'y1': {**joints, 'field': 'position[rod]'},
+                    'y2': {**joints, 'field': 'velocity[rod]'}},
+        'commands': {'force': {'topic': '/force', 'type': 'std_msgs/msg/Float64',
+                               'field': 'data'}}}}}))
+    return ['--plant', str(tmp_path / 'plant.yaml'), '--params-file',
+            str(tmp_path / 'replacer.yaml'), '--report', str(tmp_path / 'report.json')]
+
+
+def test_an_unstable_plant_that_its_commands_hold_is_judged_fairly(pendulum, capsys):
+    assert main(['--only', 'bias', *pendulum]) == 0, capsys.readouterr().out
+    assert results_of(pendulum)['bias']['outcome'] == 'PASS'
+
+
+def test_an_unstable_plant_that_nothing_holds_is_refused(pendulum, tmp_path, capsys):
+    for content in (None, {'simulation': {'inputs': {'force': 'sin(t)'}}}):
+        (tmp_path / 'demo.yaml').unlink(missing_ok=True)
+        if content:
+            (tmp_path / 'demo.yaml').write_text(yaml.safe_dump(content))
+        assert main(['--only', 'bias', *pendulum]) == 2
+        said = capsys.readouterr().err
+        assert said.count('\n') == 1 and 'unstable' in said and 'give inputs that hold it' in said
+
+
+def test_the_cases_are_listed(capsys):
+    assert main(['--list']) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == \
         [case.name for case in ALL]
+    assert main(['--list', '--quick']) == 0
+    quick = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert set(quick) == QUICK and len(quick) == len(ALL) // 2
+    with pytest.raises(SystemExit, match='2'):
+        main(['--quick'])
+    assert '--plant and --params-file are needed' in capsys.readouterr().err
     assert {'freeze', 'drop_out', 'bias', 'drift', 'spikes', 'nan', 'infinity', 'wrong_length',
             'wrong_type', 'burst', 'garbage', 'publisher_restart', 'node_restart', 'kill_9',
             'two_replacers', 'full_dev_shm'} <= {case.name for case in ALL}
@@ -213,3 +281,31 @@ def test_paths():
     told = [StatusHeard(0.0, {'y': {'source': source}}) for source in (
         'real', 'silent', 'real', 'virtual', 'virtual', 'none', 'real')]
     assert path_of(told, 'y') == ['real', 'virtual', 'none', 'real']
+
+
+def test_what_came_late_was_said_in_time(truth):
+    heard = heard_of(truth)
+    put(heard, range(100, 110), lambda v: v + 10.0)
+    heard.blind['y2'] = [(100.99, 101.1)]
+    heard.outs[100:110] = [out._replace(arrival=101.3) for out in heard.outs[100:110]]
+    assert judged(heard, truth) == []     # the listener was busy
+    heard.outs[100:110] = [out._replace(said=101.3) for out in heard.outs[100:110]]
+    assert len(judged(heard, truth)) == 1     # it was the replacer
+    heard = heard_of(truth)
+    heard.outs[100:200] = [out._replace(arrival=102.0) for out in heard.outs[100:200]]
+    assert judged(heard, truth) == []     # all stamps are there
+    put(heard, [150], lambda v: v + 2.0)
+    heard.stated['y2'] = [Stated(102.0, round(t * 1e9), 0.5) for t in truth.time]
+    assert judged(heard, truth) == []     # its deviation came late, too
+
+
+@pytest.mark.parametrize('busy', ['', 'a reading was played 0.30 s late'])
+def test_a_case_that_fails_on_a_busy_computer_proves_nothing(busy, monkeypatch):
+    case, tries = ALL[1], Counter()
+    monkeypatch.setattr(suite, '_try', lambda *_: CaseResult(case.name, '', 'wrong', 'FAIL', 1.0))
+    results = [suite._attempt(SimpleNamespace(busy=busy), case, tries) for _ in range(TRIES)]
+    if busy:
+        assert results[:-1] == [None] * (TRIES - 1)
+        assert results[-1].outcome == 'skipped' and busy in results[-1].seen
+    else:
+        assert [result.outcome for result in results] == ['FAIL'] * TRIES

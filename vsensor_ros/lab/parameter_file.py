@@ -51,11 +51,11 @@ class Parameters:
         Of two nodes' names that both fit, the later one counts for ROS; so what is changed is
         written for each of them, to the file `changes`.
         """
-        changes.write_text(yaml.safe_dump({name: {PARAMETERS: changed} for name in (
+        changes.write_text(yaml.safe_dump({name: {PARAMETERS: dict(changed)} for name in (
             *self.nodes, self.node)}), encoding='utf-8')
-        namespace, _, name = self.node.rpartition('/')
+        name = self.node.rpartition('/')[2]
         return ['--ros-args', '--params-file', str(self.path), *self.ros_args,
-                '-r', f'__node:={name}', '-r', f'__ns:={namespace or "/"}',
+                *(('-r', f'__node:={name}') if name != 'replacer' else ()),
                 *(('--params-file', str(changes)) if changed else ())]
 
 
