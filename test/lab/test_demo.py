@@ -106,6 +106,10 @@ def curves(array, topic):
 
 
 def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
+    # on simulated time and in a namespace, which the parameter file alone says
+    path = short_servo.parent / 'config' / 'servo' / 'replacer.yaml'
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'use_sim_time': True}},
+                                    'robot': yaml.safe_load(path.read_text())}))
     statuses = []
 
     def read_status(array):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+from vsensor_ros import design
 from vsensor_ros.command.fault_injection import main
 from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.injection import suite
@@ -73,11 +74,19 @@ rclpy.spin(node)
 """
 
 
+@pytest.fixture(scope='module')
+def servo_design(tmp_path_factory):
+    path = tmp_path_factory.mktemp('design') / 'servo.json'
+    design(load_plant(SERVO / 'plant.yaml')).save(path)
+    return path
+
+
 @pytest.fixture
-def quick(tmp_path):
+def quick(tmp_path, servo_design):
     """Return arguments for the servo, with a shorter dwell."""
     content = yaml.safe_load((SERVO / 'replacer.yaml').read_text())
-    content['replacer']['ros__parameters']['recovery'] = {'dwell': 0.3}
+    content['replacer']['ros__parameters'] |= {'recovery': {'dwell': 0.3},
+                                               'design_file': str(servo_design)}
     (tmp_path / 'replacer.yaml').write_text(yaml.safe_dump(content))
     return ['--plant', str(SERVO / 'plant.yaml'), '--params-file', str(tmp_path / 'replacer.yaml'),
             '--report', str(tmp_path / 'report.json')]
@@ -122,28 +131,34 @@ def test_what_cannot_be_done_is_said_in_one_line(quick, tmp_path, capsys):
     assert main(['--only', 'earthquake', *quick]) == 2
     said = capsys.readouterr().err
     assert said.count('\n') == 1 and 'earthquake' in said and 'garbage' in said
-    assert main(['--plant', str(tmp_path / 'none.yaml'), *quick[2:]]) == 2
-    assert capsys.readouterr().err.count('\n') == 1
+    quick = [*quick[:4], '--only', 'start', *quick[4:]]
+    for wrong in (['--plant', str(tmp_path / 'none.yaml'), *quick[2:]],
+                  [*quick[:-1], str(tmp_path / 'none' / 'report.json')],
+                  [*quick, '--scenario', str(SERVO.parent / 'tclab' / 'demo.yaml')],
+                  [*quick, '--ros-args', '-r', 'a b']):
+        assert main(wrong) == 2
+        said = capsys.readouterr()
+        assert said.err.count('\n') == 1, said
 
 
-@pytest.mark.parametrize('form', ['all', 'namespace'])
-def test_every_form_of_parameter_file_that_the_node_takes(quick, capsys, form):
-    path = Path(quick[3])
-    parameters = yaml.safe_load(path.read_text())['replacer']
-    path.write_text(yaml.safe_dump({'/**': parameters} if form == 'all' else {
-        'robot': {'replacer': parameters}}))
+def rewrite(arguments, change):
+    """Put the parameters of the replacer another way, in the order given."""
+    path = Path(arguments[3])
+    path.write_text(yaml.safe_dump(change(yaml.safe_load(path.read_text())['replacer']),
+                                   sort_keys=False))
+
+
+def test_a_parameter_file_for_all_nodes_and_simulated_time(quick, capsys):
+    rewrite(quick, lambda own: {'/**': {'ros__parameters': {
+        **own['ros__parameters'], 'use_sim_time': True}}})
     assert main(['--only', 'start', *quick]) == 0, capsys.readouterr().out
     assert [(name, r['outcome']) for name, r in results_of(quick).items()] == [('start', 'PASS')]
 
 
-def test_a_replacer_on_simulated_time(quick, capsys):
-    path = Path(quick[3])
-    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'use_sim_time': True}},
-                                    **yaml.safe_load(path.read_text())}, sort_keys=False))
-    assert main(['--only', 'freeze,paused_clock', *quick]) == 0, capsys.readouterr().out
-    results = results_of(quick)
-    assert [r['outcome'] for r in results.values()] == ['PASS'] * 3
-    assert results['paused_clock']['seen'] == 'real > virtual > none > virtual > real'
+def test_a_parameter_file_with_a_namespace_and_a_clock_that_stands_still(quick, capsys):
+    rewrite(quick, lambda own: {'robot': {'replacer': own}})
+    assert main(['--only', 'paused_clock', *quick]) == 0, capsys.readouterr().out
+    assert results_of(quick)['paused_clock']['seen'] == 'real > virtual > none > virtual > real'
 
 
 @pytest.fixture
@@ -186,7 +201,7 @@ def test_the_cases_are_listed(capsys):
     assert set(quick) == QUICK and len(quick) == len(ALL) // 2
     with pytest.raises(SystemExit, match='2'):
         main(['--quick'])
-    assert '--plant and --params-file are needed' in capsys.readouterr().err
+    assert '--plant and --params-file are needed, but for --list' in capsys.readouterr().err
     assert {'freeze', 'drop_out', 'bias', 'drift', 'spikes', 'nan', 'infinity', 'wrong_length',
             'wrong_type', 'burst', 'garbage', 'publisher_restart', 'node_restart', 'kill_9',
             'two_replacers', 'full_dev_shm'} <= {case.name for case in ALL}
@@ -250,6 +265,16 @@ def test_nan_and_silence_are_right_without_a_source(truth):
     put(heard, range(100, 200), lambda v: 1e3)
     assert len(judged(heard, truth)) == 1  # a number is never right then
     assert judged(heard, truth, gives_numbers=True) == []  # but when it was asked for
+
+
+def test_a_time_without_a_source_may_be_too_short_to_be_told(truth):
+    heard = heard_of(truth)
+    put(heard, range(100, 103), lambda v: math.nan)
+    for count, excused in ((1, False), (2, True)):
+        heard.told[:] = [
+            StatusHeard(100.9, {'y2': {'source': 'real', 'switches': '0'}}),
+            StatusHeard(101.1, {'y2': {'source': 'virtual', 'switches': str(count)}})]
+        assert (judged(heard, truth) == []) is excused
 
 
 def test_a_stated_deviation_excuses_an_error_of_its_size_only(truth):

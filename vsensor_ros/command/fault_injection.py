@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help='what follows is for ROS: for the replacer and for these nodes')
     given = parser.parse_args(arguments)
     if not given.list and (given.plant is None or given.params_file is None):
-        parser.error('--plant and --params-file are needed')
+        parser.error('--plant and --params-file are needed, but for --list')
 
     def act() -> int:
         from vsensor_ros.lab.injection.suite import choose

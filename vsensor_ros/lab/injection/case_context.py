@@ -15,7 +15,13 @@ from std_srvs.srv import Trigger
 
 from vsensor_ros.lab.injection.machine import Exhausted, Machine
 from vsensor_ros.lab.injection.under_test import UnderTest
-from vsensor_ros.lab.injection.verdict import Evidence, judge, path_of, StatusHeard
+from vsensor_ros.lab.injection.verdict import (
+    Evidence,
+    judge,
+    path_of,
+    StatusHeard,
+    switches_of,
+)
 from vsensor_ros.lab.process import Process
 from vsensor_ros.simulate.fault import FAULTS
 
@@ -188,8 +194,11 @@ class CaseContext:
 
     def switches(self, name: str) -> int:
         """Return how often a channel has switched, as ~/status said last."""
-        text = self.machine.latest.get(name, {}).get('switches', '0')
-        return int(text) if text.isdigit() else 0
+        return switches_of(self.machine.latest, name)
+
+    def switched(self, name: str) -> int:
+        """Return how often a channel has switched in this case, as ~/status said last."""
+        return self.switches(name) - self._switches.get(name, 0)
 
     def until(self, condition: Callable[[], bool], within: float, what: str) -> bool:
         """Play until something is so; note if it is not in time."""
@@ -227,18 +236,16 @@ class CaseContext:
         """
         expected = len(sources) - 1 if switches is None else switches
 
-        def count() -> int:
-            return self.switches(name) - self._switches.get(name, 0)
-
         self.play(0.15)     # the last status
         end = time.monotonic() + STATUS_PERIOD + 0.3    # it may be counted a message later
-        while count() != expected and time.monotonic() < end:
+        while self.switched(name) != expected and time.monotonic() < end:
             self.play(0.02)
         self._counted = True
         path = path_of(self.machine.heard.told, name)
-        if path != list(sources) or count() != expected:
-            self.wrong.append(f'{name} went {" > ".join(path) or "nowhere"} in {count()} '
-                              f'switches, not {" > ".join(sources)} in {expected}')
+        if path != list(sources) or self.switched(name) != expected:
+            self.wrong.append(
+                f'{name} went {" > ".join(path) or "nowhere"} in {self.switched(name)} switches, '
+                f'not {" > ".join(sources)} in {expected}')
         self.seen.append(' > '.join(path))
 
     def forget_path(self) -> None:

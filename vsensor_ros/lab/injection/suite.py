@@ -63,11 +63,15 @@ def choose(only: str, quick: bool) -> list[Case]:
             and (not quick or case.name in QUICK)]
 
 
-def run_suite(tested: UnderTest, cases: Sequence[Case], running: bool,
+def truth_for(tested: UnderTest, cases: Sequence[Case]) -> Truth:
+    """Return a truth that is long enough for each session of the cases; raise BadInput."""
+    return compute_truth(tested.plant, tested.scenario, min(
+        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))))
+
+
+def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: bool,
               say: Say) -> list[CaseResult]:
     """Run the cases, each session in its turn; raise BadInput and Failed, one line."""
-    truth = compute_truth(tested.plant, tested.scenario, min(
-        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))))
     results: list[CaseResult] = []
 
     def note(result: CaseResult) -> None:

@@ -14,7 +14,7 @@ import time
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.injection.case import Case
-from vsensor_ros.lab.injection.suite import CaseResult, run_suite
+from vsensor_ros.lab.injection.suite import CaseResult, run_suite, truth_for
 from vsensor_ros.lab.injection.under_test import read_under_test, UnderTest
 
 NAME, EXPECTED = 18, 44     # columns
@@ -83,7 +83,10 @@ def inject_and_show(plant: Path, params_file: Path, scenario: Path | None, cases
     with tempfile.TemporaryDirectory(prefix='fault_injection_') as folder:
         began, work = time.monotonic(), Path(folder)
         tested = read_under_test(plant, params_file, scenario, work, ros_args)
-        results = run_suite(tested, cases, running, Table(tested).say)
+        if report:  # that it cannot be written is not found in the end
+            write_report(report, [])
+        truth = truth_for(tested, cases)
+        results = run_suite(tested, truth, cases, running, Table(tested).say)
         failed = any(result.outcome == 'FAIL' for result in results)
         print(closing(results, time.monotonic() - began))
         log = work / 'replacer.log'

@@ -105,13 +105,29 @@ def path_of(told: Sequence[StatusHeard], name: str) -> list[str]:
     return path
 
 
+def switches_of(facts: Mapping[str, Mapping[str, str]], name: str) -> int:
+    """Return how often a channel has switched, as a status says; 0 when it does not."""
+    text = facts.get(name, {}).get('switches', '0')
+    return int(text) if text.isdigit() else 0
+
+
 def intervals_without_source(told: Sequence[StatusHeard], name: str) -> list[Span]:
-    """Return when a channel was said to have no valid source, widened by the statuses' delay."""
+    """
+    Return when a channel had no valid source as was said, widened by the statuses' delay.
+
+    Statuses are some time apart: one that counts two switches more than the one before tells of a
+    source in between that was too short to be told.
+    """
     spans: list[Span] = []
     begun: float | None = None
+    before: tuple[float, int] | None = None
     for status in told:
         if name not in status.facts:
             continue
+        count = switches_of(status.facts, name)
+        if before is not None and count - before[1] > 1:
+            spans.append((before[0] - 0.3, status.arrival + 0.2))
+        before = status.arrival, count
         if status.facts[name].get('source') in ('none', 'silent'):
             begun = status.arrival if begun is None else begun
         elif begun is not None:
