@@ -17,8 +17,8 @@ from benchmark import bank, designer, estimators, healthy_path, isolation, jitte
 from benchmark.load import KINDS, Load
 from benchmark.rig import set_up
 from benchmark.row import Row
-from vsensor_ros.lab.demo_failover import Failed
-from vsensor_ros.lab.interrupt import interrupt_once
+from vsensor_ros.command.run import interrupt_once
+from vsensor_ros.lab.process import Failed
 
 SECONDS = 3.0  # of each process in the middle, each round
 ROUNDS = 3

@@ -12,7 +12,7 @@ import numpy as np
 from benchmark.load import COUNTED, Load
 from benchmark.rig import Heard, Process, Rig
 from benchmark.row import Row
-from vsensor_ros.lab.demo_failover import Failed
+from vsensor_ros.lab.process import Failed
 
 
 @dataclass(frozen=True)

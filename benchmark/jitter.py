@@ -16,7 +16,7 @@ import numpy as np
 from benchmark.isolation import until, WARM_WITHIN
 from benchmark.rig import Heard, Rig, SETTLE
 from benchmark.row import Row
-from vsensor_ros.lab.demo_failover import Failed
+from vsensor_ros.lab.process import Failed
 
 BAR = 1.0
 FAILED = 0  # the sensor that does

@@ -21,7 +21,7 @@ from benchmark.rig import Rig
 from benchmark.row import Row
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine import Switch
-from vsensor_ros.lab.demo_failover import Failed
+from vsensor_ros.lab.process import Failed
 
 BAR = 1.005  # a page now and then is no growth
 TICKS = 1_000_000

@@ -9,13 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, ExitStack
-import ctypes
-from dataclasses import dataclass
 from functools import cache
 import os
 from pathlib import Path
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,23 +19,26 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from benchmark.load import COMMAND_TOPIC, Load, TIMER_TOPIC
 from vsensor_ros import design, Plant
-from vsensor_ros.lab.demo_failover import Failed, reserved_domain
+from vsensor_ros.lab.domain import (
+    by_hand,
+    open_nodes,
+    reserved_domain,
+    stay_on_this_computer,
+    take,
+)
+from vsensor_ros.lab.process import Failed, Process
 from vsensor_ros.observers.virtual_sensor import Design
 
-ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 0.01  # s, of the virtual sensors
 READY_WITHIN = 30.0  # s
 SPEED = 40.0  # 1/s, of the tanks: such that their virtual sensors are warm after SETTLE
 SETTLE = 1.0  # s between the first messages and the first that counts
 ISOLATION_TOPIC = '/benchmark/isolation'
-
-_libc = ctypes.CDLL(None)
 
 
 class Heard(NamedTuple):
@@ -52,27 +51,6 @@ class Heard(NamedTuple):
     replaced: bool
 
 
-@dataclass(frozen=True)
-class Process:
-    """A child of ours."""
-
-    name: str
-    popen: subprocess.Popen[bytes]
-    log: Path
-    ends: bool = False  # by itself, as it should
-
-    def cpu(self) -> float:
-        """Return the CPU time that all its threads have used [s]."""
-        return time.clock_gettime(~self.popen.pid << 3 | 2)  # as clock_getcpuclockid(3) does
-
-    def check(self) -> None:
-        """Raise Failed if it has ended."""
-        if self.popen.poll() is not None and not self.ends:
-            said = self.log.read_text(errors='replace').strip().splitlines()
-            raise Failed(f'{self.name} ended with {self.popen.returncode}: '
-                         f'{said[-1] if said else "it said nothing"}')
-
-
 class Rig:
     """Drivers that publish all the time, a listener, and room for one process in between."""
 
@@ -81,7 +59,7 @@ class Rig:
         self.apart: list[int] = []  # sensors of which none's virtual sensor reads another
         self.processes: list[Process] = []
         self._outputs = [node.create_subscription(
-            load.kind, topic, _ignore, QoSProfile(depth=1000), raw=True)
+            load.kind, topic, by_hand, QoSProfile(depth=1000), raw=True)
             for topic in (*load.outputs, TIMER_TOPIC)]
         self._isolation = node.create_publisher(DiagnosticArray, ISOLATION_TOPIC, 10)
 
@@ -106,28 +84,16 @@ class Rig:
 
     @contextmanager
     def run(self, name: str, arguments: list[str], ends: bool = False) -> Iterator[Process]:
-        """Run a module as a process, dead at the end whatever happens."""
+        """Run a module as a process, dead at the end; ends: by itself before, as it should."""
         log = self.work / f'{name.replace(" ", "_")}.log'
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain),
-                       'PYTHONPATH': os.pathsep.join([
-                           str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])}
-        environment.setdefault('ROS_LOG_DIR', str(self.work / 'log'))
-        with open(log, 'wb') as file:
-            popen = subprocess.Popen([sys.executable, '-m', *arguments], env=environment,
-                                     stdin=subprocess.DEVNULL, stdout=file, stderr=file,
-                                     preexec_fn=_die_with_parent)
-        process = Process(name, popen, log, ends)
-        self.processes.append(process)
-        try:
-            yield process
-        finally:
-            self.processes.remove(process)
-            popen.send_signal(signal.SIGINT)
+        with Process(name, arguments, self.domain, log) as process:
+            watched = [] if ends else [process]
+            self.processes += watched
             try:
-                popen.wait(5.0)
-            except subprocess.TimeoutExpired:
-                popen.kill()
-                popen.wait()
+                yield process
+            finally:
+                for each in watched:
+                    self.processes.remove(each)
 
     @contextmanager
     def _serve(self, name: str, arguments: list[str]) -> Iterator[Process]:
@@ -147,11 +113,10 @@ class Rig:
         """Return what has come in since the last time."""
         heard = []
         for i, output in enumerate(self._outputs):
-            with output.handle:
-                while taken := output.handle.take_message(self.load.kind, True):
-                    stamp, replaced = self.load.read(taken[0])
-                    heard.append(Heard(i, stamp, taken[1]['source_timestamp'],
-                                       taken[1]['received_timestamp'], replaced))
+            for raw, info in take(output, raw=True):
+                stamp, replaced = self.load.read(raw)
+                heard.append(Heard(i, stamp, info['source_timestamp'],
+                                   info['received_timestamp'], replaced))
         return heard
 
     def listen(self, seconds: float) -> list[Heard]:
@@ -190,14 +155,13 @@ _Running = Any  # what contextlib makes of Rig._serve
 @contextmanager
 def set_up(load: Load, rate: float = 1.0 / PERIOD) -> Iterator[Rig]:
     """Start the drivers and the listener in a ROS domain of their own; rate of the bank [Hz]."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE',
-                          str(ROOT / 'config' / 'fastdds_localhost.xml'))
+    stay_on_this_computer()
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='benchmark_')))
         domain = stack.enter_context(reserved_domain())
-        rig = Rig(load, rate, stack.enter_context(_node(domain)), work, domain)
+        [node] = stack.enter_context(open_nodes('listener', domain=domain))
+        rig = Rig(load, rate, node, work, domain)
         rig.apart = _write_parameters(load, rate, work)
         stack.enter_context(rig.run('the drivers', ['benchmark.load', *load.text()]))
         yield rig
@@ -246,25 +210,3 @@ def _write_parameters(load: Load, rate: float, work: Path) -> list[int]:
 @cache
 def _designed(tanks: int) -> Design:
     return design(row_of_tanks(tanks))
-
-
-@contextmanager
-def _node(domain: int) -> Iterator[Node]:
-    context = Context()
-    # Ctrl-C stays Python's, so that the processes are ended in order
-    context.init(domain_id=domain)
-    node = Node('listener', context=context)
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
-
-
-def _ignore(message: bytes) -> None:
-    """No executor runs here; messages are taken by hand."""
-
-
-def _die_with_parent() -> None:
-    """Have Linux kill this process when the benchmark is killed and cannot do it any more."""
-    _libc.prctl(1, signal.SIGKILL)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from vsensor_ros import design, load_plant, Plant
-from vsensor_ros.command.designer import main, report
+from vsensor_ros.command.designer import main
 from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal
+from vsensor_ros.report.design_answer import answer
 
 CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
@@ -146,7 +147,7 @@ def chain(sensors=12):
 
 
 def test_what_can_be_lost_comes_first():
-    said = report(design(chain(), up_to=2, prefer='least'))
+    said = answer(design(chain(), up_to=2, prefer='least'))
     one, not_one, two, not_two = lines_of(said, 'Sensors that this plant can afford')
     assert one == 'one 11 of 12: y1, y2, y3, y5, y6, y7, y8, y9, y10, y11, y12'
     assert not_one == 'not y4'
@@ -157,7 +158,7 @@ def test_what_can_be_lost_comes_first():
 @pytest.mark.parametrize('plant', sorted(CONFIG.glob('*/plant.yaml')), ids=lambda p: p.parent.name)
 def test_the_table_is_what_the_entries_say(plant):
     result = design(load_plant(plant), up_to=3)
-    said = ' '.join(lines_of(report(result), 'Sensors that this plant can afford'))
+    said = ' '.join(lines_of(answer(result), 'Sensors that this plant can afford'))
     for size, word in ((1, 'one'), (2, 'two'), (3, 'three')):
         sets = [s for s in result.fault_sets if len(s) == size]
         able = [s for s in sets
@@ -178,7 +179,7 @@ def test_a_block_says_what_the_design_says():
                               (2.35, 0.25), 'it contracts')
     v = replace(v, ladder=ladder, certificate=certificate,
                 proof=replace(v.proof, lower=1, doubts=('order 1: a close call',)))
-    text = report(replace(result, entries={(('y1',), 'y1'): v}))
+    text = answer(replace(result, entries={(('y1',), 'y1'): v}))
     block = lines_of(text, 'y1 [m]: can be replaced')
     assert f'order {v.order} (the least is between 1 and {v.order})' in block
     noise = next(line for line in block if line.startswith('noise error '))
@@ -206,14 +207,14 @@ def test_stability_is_never_silent(certificate, needle):
     result = design(load_plant(SERVO), [('y2',)])
     v = replace(result['y2', 'y2'], certificate=certificate)
     assert f'stability {needle}' in lines_of(
-        report(replace(result, entries={(('y2',), 'y2'): v})), 'y2 [rad/s]: can')
+        answer(replace(result, entries={(('y2',), 'y2'): v})), 'y2 [rad/s]: can')
 
 
 def test_many_eigenvalues_are_shortened():
     result = design(load_plant(SERVO), [('y2',)])
     v = result['y2', 'y2']
     values = np.array([*-np.arange(1.0, 41), -0.5 + 2j, -0.5 - 2j])
-    text = report(replace(result, entries={(('y2',), 'y2'): replace(v, eigenvalues=values)}))
+    text = answer(replace(result, entries={(('y2',), 'y2'): replace(v, eigenvalues=values)}))
     assert 'eigenvalues of N -0.5 +- 2i, -1, -2, -3, -4, .. 35 more .., -40' in lines_of(
         text, 'y2 [rad/s]: can')
 

@@ -13,9 +13,11 @@ import yaml
 
 from vsensor_ros.command.demo import main
 from vsensor_ros.lab import demo_failover, demo_runner
-from vsensor_ros.lab.demo_failover import reserved_domain, Run
+from vsensor_ros.lab.demo_failover import Run
 from vsensor_ros.lab.demo_runner import Result, Row, table, told_of, write_summary
-from vsensor_ros.lab.wiring import read_wiring
+from vsensor_ros.lab.domain import reserved_domain
+from vsensor_ros.lab.parameter_file import read_parameters
+from vsensor_ros.lab.wiring import wiring_of
 from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
 from vsensor_ros.simulate import scenario
 from vsensor_ros.simulate.fault import Channel, freeze
@@ -104,6 +106,10 @@ def curves(array, topic):
 
 
 def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
+    # on simulated time and in a namespace, which the parameter file alone says
+    path = short_servo.parent / 'config' / 'servo' / 'replacer.yaml'
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'use_sim_time': True}},
+                                    'robot': yaml.safe_load(path.read_text())}))
     statuses = []
 
     def read_status(array):
@@ -127,7 +133,7 @@ def assert_plots(known, design):
     """Check that each curve of the layout for PlotJuggler is of something that is published."""
     known |= {f'/replacer/estimates/{name}/{key}' for (_, name), entry in design.entries.items()
               if isinstance(entry, VirtualSensor) for key in ('value', 'deviation', 'offset')}
-    for port in read_wiring(CONFIG / 'servo' / 'replacer.yaml').ports.values():
+    for port in wiring_of(read_parameters(CONFIG / 'servo' / 'replacer.yaml')).ports.values():
         array, _, joint = port.field.path.partition('[')
         known |= {f'{topic}/{joint[:-1]}/{array}' for topic in (port.source, port.output)}
     root = ElementTree.parse(CONFIG / 'plotjuggler.xml').getroot()

@@ -18,13 +18,15 @@ import rclpy
 from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
 import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.player import main
-from vsensor_ros.lab.demo_failover import reserved_domain
+from vsensor_ros.lab.domain import reserved_domain, take
+from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, play, START_TOPIC
-from vsensor_ros.lab.wiring import blank, read_wiring
+from vsensor_ros.lab.wiring import blank, wiring_of
 from vsensor_ros.node.accessor import get_stamp
 from vsensor_ros.simulate.fault import Channel, drop_out, freeze
 
@@ -48,9 +50,11 @@ def listen(node, kind, topic, qos=None):
 
 
 def taken(subscription):
-    with subscription.handle:
-        while found := subscription.handle.take_message(subscription.msg_type, False):
-            yield found[0]
+    return (message for message, _ in take(subscription))
+
+
+def read_wiring(path):
+    return wiring_of(read_parameters(path))
 
 
 def test_channels_of_one_message_travel_together(node):
@@ -74,6 +78,20 @@ def test_channels_of_one_message_travel_together(node):
     silent = np.where(velocity.sent, velocity.value, np.nan)
     np.testing.assert_array_equal(said, np.c_[angle.value, silent, angle.value][:len(said)])
     assert [m.data for m in taken(voltages)] == list(angle.value[TIME < 0.05])
+
+
+def test_simulated_time_is_on_a_topic_at_any_speed(node, tmp_path, monkeypatch):
+    path = tmp_path / 'replacer.yaml'
+    path.write_text('/**: {ros__parameters: {use_sim_time: true}}\n'
+                    + (CONFIG / 'tclab' / 'replacer.yaml').read_text())
+    (tmp_path / 'table.csv').write_text('time,T1\n0.0,20.0\n0.1,21.0\n')
+    readings = listen(node, Temperature, '/tclab/T1_raw')
+    clock = listen(node, Clock, '/clock')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(node.context.get_domain_id()))
+    assert main([str(tmp_path / 'table.csv'), str(path)]) == 0
+    assert [m.temperature for m in taken(readings)] == [20.0, 21.0]
+    ticks = [m.clock.sec * 10**9 + m.clock.nanosec for m in taken(clock)]
+    assert ticks[-1] - ticks[0] == 10**8 and len(ticks) > 2
 
 
 def test_faster_than_real_time_the_clock_is_on_a_topic(node):
@@ -113,6 +131,14 @@ def test_a_column_without_a_topic_is_refused(tmp_path, capsys):
     (tmp_path / 'table.csv').write_text('time,y9\n0,1\n')
     assert main([str(tmp_path / 'table.csv'), str(CONFIG / 'servo' / 'replacer.yaml')]) == 2
     assert 'y9: has no topic' in capsys.readouterr().err
+
+
+def test_wrong_arguments_for_ros_are_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / 'table.csv').write_text('time,y1\n0,1\n')
+    assert main([str(tmp_path / 'table.csv'), str(CONFIG / 'servo' / 'replacer.yaml'),
+                 '--ros-args', '-r', 'a b']) == 2
+    said = capsys.readouterr().err
+    assert said.startswith('player: arguments: ') and said.count('\n') == 1
 
 
 def test_delays_are_told(node, monkeypatch):

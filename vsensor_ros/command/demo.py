@@ -12,9 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 
-from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.replacer import find_ros, prepare_environment
-from vsensor_ros.lab.interrupt import interrupt_once
+from vsensor_ros.command.run import run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,24 +24,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--output', type=Path, default=Path('build/demo'),
                         help='folder for summary.json, the pictures, designs and logs')
     given = parser.parse_args(arguments)
-    interrupt_once()
-    prepare_environment()
-    try:
-        if not find_ros('demo'):
-            return 2
-        # imported here so that Ctrl-C while they load ends as quietly as any other
+
+    def act() -> int:
         from vsensor_ros.lab.demo_runner import show_all
         return show_all(given.systems, given.output)
-    except ModuleNotFoundError as missing:
-        print(f'demo: {missing.name} is not installed; run `make demo`, which sets all up',
-              file=sys.stderr)
-        return 2
-    except BadInput as problem:
-        print(problem, file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print('stopped', file=sys.stderr)
-        return 130
+    return run('demo', act)
 
 
 if __name__ == '__main__':

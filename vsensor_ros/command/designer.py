@@ -7,21 +7,18 @@ from collections.abc import Callable, Sequence
 import io
 import os
 import sys
-import textwrap
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
 from vsensor_ros.designer.design import METHODS
-from vsensor_ros.designer.location import Location, locations
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
-from vsensor_ros.plant import load_plant, Plant
-from vsensor_ros.report import design_text
+from vsensor_ros.designer.location import locations
+from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.plant import load_plant
+from vsensor_ros.report.design_answer import answer, closing
 from vsensor_ros.report.page import check_target, write_report
 
 MOST_BLOCKS = 10  # printed unasked
-MOST_PLACES = 8  # for a new sensor
-WIDTH = 99
 
 Progress = Callable[[int, int, str], None]
 
@@ -47,10 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             path = write_report(options.report, plant, result, places, progress)
             written += f', the report to {path}'
         _clear(progress)
-        bounded = sum(v.grade == 'bounded' for v in result.virtual_sensors)
-        some = f', {bounded} of them within a bound only' if bounded else ''
-        _say(f'{report(result, blocks, places, plant)}\n{len(result.virtual_sensors)} of '
-             f'{len(result.entries)} can be replaced{some}; {written}')
+        _say(f'{answer(result, blocks, places, plant)}\n{closing(result)}; {written}')
     except BadInput as error:
         _clear(progress)
         print(f'designer: {error}', file=sys.stderr)
@@ -177,92 +171,6 @@ def _say(text: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise BadInput('stdout', '', f'cannot be written ({reason(error)})',
                        'the design file is complete') from error
-
-
-def report(result: Design, blocks: set[tuple[str, ...]] | None = None,
-           places: Sequence[Location] | None = None, plant: Plant | None = None) -> str:
-    """
-    Return what a person reads: what can be lost, then a block for each of some fault sets.
-
-    ``blocks``: fault sets to print blocks for, by default all.
-    """
-    time = ('continuous time' if result.sample_time is None
-            else f'sample time {result.sample_time:g} s')
-    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
-    if any(result.fault_sets):
-        lines.append('Sensors that this plant can afford to lose at the same time')
-    for size, sentences in design_text.loss_lines(result):
-        for i, sentence in enumerate(sentences):
-            lines += _hanging(size if i == 0 else '', sentence, 9)
-    if places is not None and plant is not None:
-        lines += ['', 'With one more sensor', *_places(places, plant)]
-    lines.append('')
-    for (fault_set, channel), entry in result.entries.items():
-        if blocks is None or fault_set in blocks:
-            lines += [f'{design_text.title(result, fault_set, channel)}: '
-                      f'{design_text.state_of(entry)}']
-            lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
-                entry, result.units.get(channel, ''))
-            lines.append('')
-    hidden = sum(blocks is not None and s not in blocks for s, _ in result.entries)
-    if hidden:
-        lines += [f'{hidden} more not printed: ask with --details SENSORS or --details all, or '
-                  'have all in a file with --report out.html', '']
-    return '\n'.join(lines).rstrip() + '\n'
-
-
-def _places(places: Sequence[Location], plant: Plant) -> list[str]:
-    if not places:
-        return ['    every state is measured already; second sensors, and sensors of unknown',
-                '    inputs, are not looked at here']
-    useful = [place for place in places if place.gained]
-    if not useful:
-        return ['    none of a single state would let you lose more than now']
-    width = max(len(place.name) for place in useful[:MOST_PLACES]) + 2
-    lines = []
-    for place in useful[:MOST_PLACES]:
-        lines += _hanging(place.name, design_text.gained(place), width)
-    if len(useful) > MOST_PLACES:
-        lines.append(f'    and {len(useful) - MOST_PLACES} more that help')
-    return lines
-
-
-def _hanging(head: str, text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=f'    {head:{width}}',
-                         subsequent_indent=' ' * (4 + width), break_on_hyphens=False)
-
-
-def _refused(entry: Refusal) -> list[str]:
-    lines = [f'    {entry.reason}']
-    if entry.alternative:
-        lines.append(f'    instead: {entry.alternative}')
-    return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
-
-
-def _facts(entry: VirtualSensor, unit: str) -> list[str]:
-    terms = [entry.terms[i].name for i in entry.active]
-    facts = [
-        ('order', design_text.order(entry)),
-        ('noise error', design_text.noise(entry, unit)),
-        ('decay', design_text.decay(entry)),
-        ('eigenvalues of N', design_text.eigenvalues(entry)),
-        ('reads', design_text.reads(entry)),
-        ('noise gain', design_text.number(entry.noise_gain)),
-        ('found as', entry.method),
-    ]
-    if entry.grade != 'exact':
-        facts.insert(1, ('unknown inputs', design_text.disturbance(entry, unit)))
-    if terms:
-        facts.append(('nonlinear terms', ', '.join(terms)))
-    facts += [('stability' if i == 0 else '', said)
-              for i, said in enumerate(design_text.certificate(entry))]
-    if len(entry.ladder) > 1:
-        facts += [('ladder' if i == 0 else '', (
-            f'order {rung.order}: noise error {design_text.number(rung.noise, unit)}, decay '
-            f'{design_text.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
-            for i, (rung, taken) in enumerate(design_text.rungs(entry))]
-    facts += [('in doubt', doubt) for doubt in design_text.doubts(entry)]
-    return [line for name, value in facts for line in _hanging(name, value, 18)]
 
 
 if __name__ == '__main__':

@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, ExitStack
-import ctypes
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
-import os
 from pathlib import Path
-import signal
-import socket
 import subprocess
-import sys
 import time
-from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
 from numpy.typing import NDArray
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
-from vsensor_ros.command.player import LATE_CODE
-from vsensor_ros.lab.play import LATCHED, START_TOPIC, to_stamp
+from vsensor_ros.lab.domain import (
+    by_hand,
+    open_nodes,
+    reserved_domain,
+    stay_on_this_computer,
+    take,
+)
+from vsensor_ros.lab.parameter_file import read_parameters
+from vsensor_ros.lab.play import LATCHED, LATE_CODE, START_TOPIC, to_stamp
+from vsensor_ros.lab.process import Failed, Process
 from vsensor_ros.lab.screen import read_status, Told
-from vsensor_ros.lab.wiring import read_wiring, Wiring
+from vsensor_ros.lab.wiring import Wiring, wiring_of
 from vsensor_ros.node.accessor import get_stamp, has_stamp
 from vsensor_ros.simulate.judge import Heard
 from vsensor_ros.simulate.scenario import Scenario
@@ -36,13 +35,6 @@ from vsensor_ros.simulate.table import write_table
 
 READY_WITHIN = 30.0     # s; discovery takes 0.1 s idle, some seconds on a busy machine
 POLL = 0.0005           # s between looks at the topics; bounds the error of the latency
-DOMAIN_PORT = 27400     # TCP port held while domain 1, 2, .. is in use; the tests hold the same
-
-_libc = ctypes.CDLL(None) if sys.platform == 'linux' else None
-
-
-class Failed(RuntimeError):
-    """A run that could not be finished; str() is one line."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +62,6 @@ class Run:
     deviation: NDArray[np.float64]
 
 
-@contextmanager
-def reserved_domain() -> Iterator[int]:
-    """Yield a ROS domain that no other demo or test on this machine uses meanwhile."""
-    for domain in range(1, 101):
-        with socket.socket() as held:
-            try:
-                held.bind(('127.0.0.1', DOMAIN_PORT + domain))
-            except OSError:
-                continue
-            yield domain
-            return
-    raise Failed('all ROS domains from 1 to 100 are in use on this machine')
-
-
 def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
               progress: Callable[[Moment], None]) -> Run:
     """
@@ -92,28 +70,31 @@ def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
     `config` is the system's folder, `work` an existing folder for the table and the logs, whose
     names begin with that of the system. Raise Failed.
     """
-    wiring = read_wiring(config / 'replacer.yaml')
+    parameters = read_parameters(config / 'replacer.yaml')
+    wiring = wiring_of(parameters)
     table = work / f'{config.name}.table.csv'
     write_table(table, scenario.channels)
-    clock = ['-p', 'use_sim_time:=true'] if scenario.speed != 1.0 else []
+    changed: dict[str, object] = {'design_file': str(design_file)}
+    if scenario.speed != 1.0:
+        changed['use_sim_time'] = True
     with ExitStack() as stack:
         domain = stack.enter_context(reserved_domain())
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-        profile = config.parent / 'fastdds_localhost.xml'
-        if profile.is_file():   # discovery is quicker with it
-            os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
-        replacer = stack.enter_context(_process(
-            'the replacer', work / f'{config.name}.replacer.log', domain, [
-                'vsensor_ros.command.replacer', '--ros-args', '--params-file',
-                str(config / 'replacer.yaml'), '-p', f'design_file:={design_file}', *clock]))
-        node = stack.enter_context(_node(domain))
-        listener = _Listener(node, wiring, scenario)
+        stay_on_this_computer()
+
+        def run(name: str, *arguments: str) -> Process:
+            log = work / f'{config.name}.{name.split()[-1]}.log'
+            log.unlink(missing_ok=True)
+            return stack.enter_context(Process(name, arguments, domain, log))
+
+        replacer = run('the replacer', 'vsensor_ros.command.replacer',
+                       *parameters.command_line(work / f'{config.name}.changed.yaml', **changed))
+        [node] = stack.enter_context(open_nodes('demo', domain=domain,
+                                                ros_args=parameters.ros_args))
+        listener = _Listener(node, wiring, scenario, parameters.node)
         _wait(listener.ready, [replacer])
         # the player begins by itself once the replacer hears every topic
-        player = stack.enter_context(_process(
-            'the player', work / f'{config.name}.player.log', domain, [
-                'vsensor_ros.command.player', str(table), str(config / 'replacer.yaml'),
-                '--speed', str(scenario.speed)]))
+        player = run('the player', 'vsensor_ros.command.player', str(table),
+                     str(config / 'replacer.yaml'), '--speed', str(scenario.speed))
         _wait(listener.started, [replacer, player])
         heard = listener.listen([replacer, player], progress)
         try:
@@ -126,15 +107,15 @@ def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
 class _Listener:
     """The isolator and the second subscriber; polled, so that the latency is not an executor's."""
 
-    def __init__(self, node: Node, wiring: Wiring, scenario: Scenario) -> None:
+    def __init__(self, node: Node, wiring: Wiring, scenario: Scenario, replacer: str) -> None:
         self.scenario = scenario
         self.port = wiring.ports[scenario.failed_sensor]
         if not has_stamp(self.port.kind):
             raise Failed(f'{self.port.output} has no stamps to compare with the truth')
-        self.output = node.create_subscription(self.port.kind, self.port.output, _ignore,
+        self.output = node.create_subscription(self.port.kind, self.port.output, by_hand,
                                                QoSProfile(depth=1000))
-        self.start = node.create_subscription(Time, START_TOPIC, _ignore, LATCHED)
-        self.status = node.create_subscription(DiagnosticArray, '/replacer/status', _ignore,
+        self.start = node.create_subscription(Time, START_TOPIC, by_hand, LATCHED)
+        self.status = node.create_subscription(DiagnosticArray, f'{replacer}/status', by_hand,
                                                LATCHED)
         self.isolation = node.create_publisher(wiring.isolation_kind, wiring.isolation, 10)
         self.node = node
@@ -149,7 +130,7 @@ class _Listener:
                 and self.node.count_publishers(self.port.output) > 0)
 
     def started(self) -> bool:
-        for message in _take(self.start):
+        for message, _ in take(self.start):
             self.origin = message.sec * 10**9 + message.nanosec
             self.began = time.monotonic() - 1e-9 * (time.time_ns() - self.origin)
             return True
@@ -172,7 +153,7 @@ class _Listener:
                 self.step = channel.number('last_step')
                 self.deviation.append((now, channel.number('deviation')))
 
-    def listen(self, processes: list[_Process],
+    def listen(self, processes: list[Process],
                progress: Callable[[Moment], None]) -> Heard:
         scenario = self.scenario
         isolated: float | None = None
@@ -184,98 +165,31 @@ class _Listener:
             if isolated is None and now >= scenario.isolated_at:
                 isolated = time.monotonic()
                 self.isolate()
-            for message in _take(self.output):
+            for message, _ in take(self.output):
                 value = self.port.field.get(message)
                 if isinstance(value, float):
                     stamp = scenario.start + 1e-9 * (get_stamp(message) - self.origin)
                     self.heard.append((stamp, value, time.monotonic()))
-            for message in _take(self.status):
+            for message, _ in take(self.status):
                 self.note(read_status(message), now)
             if wall - shown > 0.1:
                 shown = wall
                 value = self.heard[-1][1] if self.heard else np.nan
                 progress(Moment(min(now, scenario.end), value, isolated is not None))
                 for process in processes:
-                    process.check()
+                    process.check(0, LATE_CODE)
             time.sleep(POLL)
         time_, value_, arrival = np.array(self.heard).reshape(-1, 3).T
         return Heard(time_, value_, arrival - (isolated or np.inf))
 
 
-def _ignore(message: Any) -> None:
-    """No executor runs here; messages are taken by hand."""
-
-
-def _take(subscription: Any) -> Iterator[Any]:
-    with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, False)):
-            yield taken[0]
-
-
-@dataclass(frozen=True)
-class _Process:
-    """A child of ours."""
-
-    name: str
-    popen: subprocess.Popen[bytes]
-    log: Path
-
-    def check(self) -> None:
-        """Raise Failed if it has died; the player ends by itself."""
-        if self.popen.poll() not in (None, 0, LATE_CODE):
-            said = self.log.read_text(errors='replace').strip().splitlines()
-            raise Failed(f'{self.name} ended with {self.popen.returncode}: '
-                         f'{said[-1] if said else "it said nothing"} ({self.log})')
-
-
-def _wait(ready: Callable[[], bool], processes: list[_Process]) -> None:
+def _wait(ready: Callable[[], bool], processes: list[Process]) -> None:
     """Wait for the last of the processes."""
     deadline = time.monotonic() + READY_WITHIN
     while not ready():
         for process in processes:
-            process.check()
+            process.check(0, LATE_CODE)
         if time.monotonic() > deadline:
             raise Failed(f'{processes[-1].name} was not ready after {READY_WITHIN:g} s, '
                          f'see {processes[-1].log}')
         time.sleep(0.01)
-
-
-@contextmanager
-def _process(name: str, log: Path, domain: int, arguments: list[str]) -> Iterator[_Process]:
-    """Run a module of ours as a process, dead at the end whatever happens."""
-    root = str(Path(__file__).parents[2])
-    paths = [root, *filter(None, [os.environ.get('PYTHONPATH')])]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                   'PYTHONPATH': os.pathsep.join(paths), 'ROS_LOG_DIR': str(log.parent / 'log')}
-    with open(log, 'wb') as file:
-        popen = subprocess.Popen([sys.executable, '-m', *arguments], env=environment,
-                                 stdin=subprocess.DEVNULL, stdout=file, stderr=file,
-                                 preexec_fn=_die_with_parent)
-    try:
-        yield _Process(name, popen, log)
-    finally:
-        popen.terminate()
-        try:
-            popen.wait(5.0)
-        except subprocess.TimeoutExpired:
-            popen.kill()
-            popen.wait()
-
-
-def _die_with_parent() -> None:
-    """Have Linux kill this process when the demo is killed and cannot do it any more."""
-    if _libc:
-        _libc.prctl(1, signal.SIGKILL)
-
-
-@contextmanager
-def _node(domain: int) -> Iterator[Node]:
-    context = Context()
-    # Ctrl-C stays Python's, so that the processes are ended in order
-    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('demo', context=context)
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)

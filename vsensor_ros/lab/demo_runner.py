@@ -16,8 +16,10 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design
-from vsensor_ros.lab.demo_failover import fail_over, Failed, Moment, Run
+from vsensor_ros.lab.config_folder import config_folder
+from vsensor_ros.lab.demo_failover import fail_over, Moment, Run
 from vsensor_ros.lab.demo_picture import draw
+from vsensor_ros.lab.process import Failed
 from vsensor_ros.observers.virtual_sensor import Refusal
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.judge import judge, replaced
@@ -46,18 +48,6 @@ class Result:
     bar: float
     bar_text: str
     passed: bool
-
-
-def config_folder() -> Path:
-    """Return the folder of the systems: the repository's, else the installed one."""
-    roots = [Path(prefix) / 'share' / 'vsensor_ros'
-             for prefix in [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
-             if prefix]
-    for root in [Path(__file__).parents[2], *roots]:
-        if (root / 'config').is_dir():
-            return root / 'config'
-    raise BadInput('demo', 'config', 'is not found',
-                   'run in the repository or install the package')
 
 
 def show(folder: Path, output: Path, say: Callable[[str], None],
@@ -214,6 +204,9 @@ def show_all(systems: Sequence[str], output: Path) -> int:
     """
     began = time.monotonic()
     config = config_folder()
+    if config is None:
+        raise BadInput('demo', 'config', 'is not found',
+                       'run in the repository or install the package')
     known = sorted(path.parent.name for path in config.glob('*/demo.yaml'))
     for name in systems:
         if name not in known:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+import sys
 import time
 
 from builtin_interfaces.msg import Time
@@ -10,10 +13,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from vsensor_ros.lab.wiring import blank, Port
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.lab.domain import open_nodes
+from vsensor_ros.lab.parameter_file import read_parameters
+from vsensor_ros.lab.wiring import blank, Port, wiring_of
 from vsensor_ros.node.accessor import has_stamp
 from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.table import read_table
 
+LATE = 0.05             # s on the wall; what is played later than this is another machine
+LATE_CODE = 3           # the exit status that says so
 CLOCK_STEP = 0.005      # s on the wall between two messages on /clock
 START_TOPIC = '/player/start'
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -45,19 +54,21 @@ class _Topic:
         self.publisher.publish(self.message)
 
 
-def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed: float) -> float:
+def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed: float,
+         simulated: bool = False) -> float:
     """
     Publish every row at its time, once every topic has a listener; return the worst delay [s].
 
     Stamps are the wall clock's time of the start, said on START_TOPIC, plus the time in the
-    table. With a `speed` other than 1 the time on /clock runs that much faster than the wall's.
+    table. Time is on /clock, too, if it is `simulated`, and with a `speed` other than 1: there it
+    runs that much faster than the wall's.
     """
     by_topic: dict[str, list[Port]] = {}
     for name in channels:
         by_topic.setdefault(ports[name].source, []).append(ports[name])
     topics = [_Topic(node, group, channels) for group in by_topic.values()]
     start_topic = node.create_publisher(Time, START_TOPIC, LATCHED)
-    clock = node.create_publisher(Clock, '/clock', 10) if speed != 1.0 else None
+    clock = node.create_publisher(Clock, '/clock', 10) if simulated or speed != 1.0 else None
     complained = time.monotonic() + 10.0
     while deaf := [t for t in topics if not t.publisher.get_subscription_count()]:
         if time.monotonic() > complained:
@@ -86,3 +97,20 @@ def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed
                 topic.publish(row, stamp)
     time.sleep(0.2)     # let the last messages leave
     return late
+
+
+def play_table(table: Path, params_file: Path, speed: float, ros_args: Sequence[str]) -> int:
+    """Play a table on the topics of a replacer; return the exit status. Raise BadInput."""
+    channels = read_table(table)
+    parameters = read_parameters(params_file, ros_args)
+    ports = wiring_of(parameters).ports
+    for name in channels:
+        if name not in ports:
+            raise BadInput(table, name, f'has no topic in {params_file}',
+                           'name the columns as the sensors and commands there')
+    with open_nodes('player', ros_args=parameters.ros_args) as (node,):
+        late = play(node, channels, ports, speed, parameters.simulated)
+    if late > LATE:
+        print(f'{late:.2f} s late at worst: this machine is too busy', file=sys.stderr)
+        return LATE_CODE
+    return 0

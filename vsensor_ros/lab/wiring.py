@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 import re
 from typing import Any
 
 import numpy as np
-import yaml
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.lab.parameter_file import Parameters
 from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
 
 
@@ -35,11 +33,10 @@ class Wiring:
     isolation_kind: Any
 
 
-def read_wiring(path: Path) -> Wiring:
-    """Read the topics of a replacer's parameter file; raise BadInput."""
-    where = str(path)
+def wiring_of(parameters: Parameters) -> Wiring:
+    """Find the topics in a replacer's parameters; raise BadInput."""
+    where, given = str(parameters.path), parameters.given
     try:
-        given = dict(_leaves(_parameters(yaml.safe_load(path.read_text(encoding='utf-8')))))
         ports = {}
         names = (key.rpartition('.')[0] for key in given
                  if key.startswith(('sensors.', 'commands.')))
@@ -51,36 +48,11 @@ def read_wiring(path: Path) -> Wiring:
                 source = given.get(f'{place}.input') or f'{topic}_raw'
             ports[name] = Port(name, source, topic, kind, compile_accessor(
                 kind, given[f'{place}.field'], where, f'{place}.field'))
-        kind = message_type(given.get('isolation.type', 'diagnostic_msgs/msg/DiagnosticArray'),
-                            where, 'isolation.type')
-        return Wiring(ports, given.get('isolation.topic', '/isolation'), kind)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(where, '', f'cannot be read: {error}'[:200],
-                       "give the replacer's parameter file") from None
     except (KeyError, TypeError, AttributeError) as error:
         raise BadInput(where, '', f'lacks {error}'[:100], 'give replacer: ros__parameters: with '
                        'topic, type and field of each sensor and command') from None
-
-
-def _parameters(root: dict[str, Any]) -> dict[str, Any]:
-    """Return what stands below ros__parameters of the replacer, or of all nodes (``/**``)."""
-    for key, below in root.items():
-        if key.rpartition('/')[2] in ('replacer', '**') and 'ros__parameters' in below:
-            found: dict[str, Any] = below['ros__parameters']
-            return found
-    for below in root.values():  # a namespace
-        if isinstance(below, dict) and 'ros__parameters' not in below:
-            return _parameters(below)
-    raise KeyError('replacer: ros__parameters')
-
-
-def _leaves(tree: dict[str, Any], place: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values; ROS takes both ``a: {b: 1}`` and ``a.b: 1``."""
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f'{place}{key}.')
-        else:
-            yield f'{place}{key}', value
+    return Wiring(ports, parameters.general('isolation.topic'),
+                  message_type(parameters.general('isolation.type'), where, 'isolation.type'))
 
 
 def blank(ports: list[Port]) -> Any:

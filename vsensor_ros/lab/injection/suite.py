@@ -1,48 +1,44 @@
-"""The suite: sessions of one replacer each, the cases in them, the table and the report."""
+"""The suite: sessions of one replacer each, the cases in them, and what became of each."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 import os
-from pathlib import Path
+import shutil
+import subprocess
+import sys
 import time
 
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.lab.domain import open_nodes, reserved_domain, stay_on_this_computer
+from vsensor_ros.lab.injection.case import ALONE, Case, FULL_SHM, PLAIN, SIMULATED
+from vsensor_ros.lab.injection.case_context import CaseContext, GaveUp, Skipped, STARTED
+from vsensor_ros.lab.injection.machine import Exhausted, Machine
+from vsensor_ros.lab.injection.message_cases import MESSAGE_CASES
+from vsensor_ros.lab.injection.restart_cases import RESTART_CASES
+from vsensor_ros.lab.injection.sensor_cases import SENSOR_CASES, START
+from vsensor_ros.lab.injection.truth import compute_truth, Truth
+from vsensor_ros.lab.injection.under_test import UnderTest
+from vsensor_ros.lab.process import Process
 
-from vsensor_ros.lab.demo_failover import reserved_domain
-from vsensor_ros.lab.injection.case_context import GaveUp, Skipped, Stage, STARTED
-from vsensor_ros.lab.injection.cases import (
-    ALONE,
-    Case,
-    CASES,
-    FULL_SHM,
-    PLAIN,
-    SIMULATED,
-    START,
-)
-from vsensor_ros.lab.injection.hostile import HOSTILE
-from vsensor_ros.lab.injection.process import no_private_shm, Process
-from vsensor_ros.lab.injection.restart_cases import ENDS
-from vsensor_ros.lab.injection.rig import Exhausted, Rig
-from vsensor_ros.lab.injection.setup import Setup
-from vsensor_ros.lab.injection.truth import make_world, World
-
-LATE = 0.05         # s that the machine may be played late, else a case that fails is tried again
+TRIES = 3           # of a case that fails while this computer is too busy
 LONGEST = 200.0     # s of the machine's time in one session
 MARGIN = 25.0       # s of it for convergence and what takes longer than it should
 DOWN = 1.0          # s in which a replacer that has ended disappears from the graph
+TINY = 16           # kB of a /dev/shm that is as good as full
 
-ALL = (*CASES, *HOSTILE, *ENDS)
+ALL = (START, *SENSOR_CASES, *MESSAGE_CASES, *RESTART_CASES)
+QUICK = frozenset({  # half of them, a minute and a half with the shipped servo: some of each kind
+    'start', 'handover', 'freeze', 'drop_out', 'bias', 'nan', 'simultaneous', 'unknown_set',
+    'wrong_length', 'burst', 'disorder', 'isolator_restart', 'kill_9', 'paused_clock'})
 
 
 @dataclass(frozen=True)
-class Result:
+class CaseResult:
     """What became of one case."""
 
     case: str
@@ -52,158 +48,200 @@ class Result:
     seconds: float
 
 
-Say = Callable[[Result], None]
+Say = Callable[[CaseResult], None]
 
 
-def run_suite(setup: Setup, scenario: Path | None, cases: Sequence[Case], work: Path,
-              running: bool, say: Say) -> list[Result]:
-    """Run the cases, each session in its turn; raise BadInput and RuntimeError, one line."""
-    sessions = list(_sessions(setup, cases, running))
-    longest = max((seconds for _, _, seconds in sessions), default=0.0)
-    world = make_world(setup.plant, scenario, longest)
-    results: list[Result] = []
+def choose(only: str, quick: bool) -> list[Case]:
+    """Return the cases that are asked for, all by default; raise BadInput."""
+    names = [name.strip() for name in only.split(',')] if only else []
+    known = [case.name for case in ALL]
+    for name in names:
+        if name not in known:
+            raise BadInput('fault_injection', '--only', f'there is no case {name}',
+                           f'choose from {", ".join(known)}')
+    return [case for case in ALL if (not names or case.name in names)
+            and (not quick or case.name in QUICK)]
+
+
+def truth_for(tested: UnderTest, cases: Sequence[Case]) -> Truth:
+    """Return a truth that is long enough for each session of the cases; raise BadInput."""
+    return compute_truth(tested.plant, tested.scenario, min(
+        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))))
+
+
+def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: bool,
+              say: Say) -> list[CaseResult]:
+    """Run the cases, each session in its turn; raise BadInput and Failed, one line."""
+    results: list[CaseResult] = []
+
+    def note(result: CaseResult) -> None:
+        results.append(result)
+        say(result)
+
     with ExitStack() as stack:
-        domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
+        domain = None
         if not running:
             domain = stack.enter_context(reserved_domain())
-            os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        for kind, members, _ in sessions:
-            why = no_private_shm() if kind == FULL_SHM else ''
+            stay_on_this_computer()
+        for kind, members in groupby(cases, lambda case: PLAIN if case.session == ALONE
+                                     and not running else case.session):
+            left, tries = list(members), Counter[str]()
+            why = _no_private_shm() if kind == FULL_SHM else ''
             if running and kind != PLAIN:
                 why = 'the replacer that runs is not ours to end or to start'
             if why:
-                for case in members:
-                    results.append(Result(case.name, case.expected, why, 'skipped', 0.0))
-                    say(results[-1])
+                for case in left:
+                    note(CaseResult(case.name, case.expected, why, 'skipped', 0.0))
                 continue
-            with _session(setup, world, domain, work, kind, running) as stage:
-                results += _play(stage, members, say)
+            while left:     # one session after the other
+                with _session(tested, truth, domain, kind, running) as context:
+                    _play(context, left, tries, note)
     return results
 
 
-def _sessions(setup: Setup, cases: Sequence[Case], running: bool,
-              ) -> Iterator[tuple[str, list[Case], float]]:
-    """Group the cases into sessions: kind, cases, seconds of the machine's time."""
-    dwell = max(policy.dwell for policy in setup.policies.values())
-
-    def kind(case: Case) -> str:
-        return PLAIN if case.session == ALONE and not running else case.session
-
-    for name, members in groupby(cases, kind):
-        seconds = START.seconds + MARGIN + dwell
-        group: list[Case] = []
-        for case in members:
-            more = case.seconds + 2.0 * dwell
-            if group and seconds + more > LONGEST:
-                yield name, group, seconds
-                seconds, group = START.seconds + MARGIN + dwell, []
-            group.append(case)
-            seconds += more
-        yield name, group, seconds
+def _seconds(tested: UnderTest, cases: Sequence[Case]) -> float:
+    """Return how long the machine must run in a session of some cases [s]."""
+    return START.seconds + tested.dwell + MARGIN + sum(
+        case.seconds + 2.0 * tested.dwell for case in cases)
 
 
 @contextmanager
-def _session(setup: Setup, world: World, domain: int, work: Path, kind: str,
-             running: bool) -> Iterator[Stage]:
+def _session(tested: UnderTest, truth: Truth, domain: int | None, kind: str,
+             running: bool) -> Iterator[CaseContext]:
+    simulated = kind == SIMULATED or tested.parameters.simulated
     processes: list[Process] = []
 
     def start() -> Process:
-        more = ['-p', 'use_sim_time:=true'] if kind == SIMULATED else []
-        processes.append(Process(setup.arguments(*more), domain, work / 'replacer.log',
-                                 kind == FULL_SHM))
+        assert domain is not None
+        processes.append(Process(
+            'the replacer', ['vsensor_ros.command.replacer', *tested.arguments(simulated)],
+            domain, tested.work / 'replacer.log', _tiny_shm() if kind == FULL_SHM else ()))
         return processes[-1]
 
-    context = Context()
-    rclpy.init(context=context, domain_id=domain, args=['--ros-args', *setup.ros_args[1:]]
-               if setup.ros_args else None, signal_handler_options=SignalHandlerOptions.NO)
-    nodes: list[Node] = []
     try:
         process = None if running else start()
-        nodes += [rclpy.create_node(name, context=context)
-                  for name in ('fault_injection', 'fault_injection_services')]
-        rig = Rig(nodes[0], setup.wiring, world, 'replacer', kind == SIMULATED)
-        yield Stage(setup, rig, nodes[1], process, start)
+        with open_nodes('fault_injection', 'fault_injection_services', domain=domain,
+                        ros_args=tested.parameters.ros_args) as (node, services):
+            machine = Machine(node, tested.wiring, truth, tested.parameters.node, simulated)
+            yield CaseContext(tested, machine, services, process, start)
     finally:
         for ours in processes:
             if ours.alive:
                 ours.end()
-        for node in nodes:
-            node.destroy_node()
-        rclpy.shutdown(context=context)
-        time.sleep(0.0 if running else DOWN)
+    time.sleep(0.0 if running else DOWN)
 
 
-def _play(stage: Stage, cases: Sequence[Case], say: Say) -> Iterator[Result]:
-    """Play the cases on one replacer, each from a state in which all sensors are real."""
-    rig = stage.rig
-    stage.begin()
-    with suppress(GaveUp):
-        stage.until(lambda: all(d.publisher is not None and d.publisher.get_subscription_count()
-                                for d in rig.drivers) and rig.statuses > 0, STARTED,
-                    'a replacer that hears all topics and tells its status')
-    if stage.wrong or not rig.statuses:
-        why = '; '.join(stage.wrong) or 'the replacer has died'
-        for case in cases:
-            yield _said(say, Result(case.name, case.expected, why, 'FAIL', 0.0))
+def _play(context: CaseContext, left: list[Case], tries: Counter[str], note: Say) -> None:
+    """
+    Play cases on one replacer, each from a state in which all sensors are real.
+
+    Those that are over are taken from `left`; the others are for another session, because the
+    truth that was computed would not last.
+    """
+    machine, tested = context.machine, context.tested
+    if why := _not_there(context):
+        for case in left:
+            note(CaseResult(case.name, case.expected, why, 'FAIL', 0.0))
+        left.clear()
         return
-    stage.play(0.5)
+    context.play(0.5)
     started = False
-    for case in cases:
+    while left and (not started or machine.now + left[0].seconds + 2.0 * tested.dwell + MARGIN
+                    <= machine.truth.end):
+        case = left[0]
         # where there is no room in /dev/shm, to start is all there is to try
-        if case.session != FULL_SHM and not (stage.fresh and started):
-            result = _try_in_time(stage, START)
+        if case.session != FULL_SHM and not (started and context.fresh):
+            result = _attempt(context, START, tries)
+            if result is None:
+                continue
             if not started or result.outcome == 'FAIL':
-                say(result)
-                yield result
+                note(result)
             started = True
-        yield _said(say, _try_in_time(stage, case))
+        if case is START:
+            left.pop(0)
+        elif result := _attempt(context, case, tries):
+            note(result)
+            left.pop(0)
+            started = True
 
 
-def _said(say: Say, result: Result) -> Result:
-    say(result)
+def _not_there(context: CaseContext) -> str:
+    """Wait for the replacer; return what was wrong, '' if nothing. Raise BadInput."""
+    machine = context.machine
+    context.begin()
+    with suppress(GaveUp):
+        context.until(lambda: all(d.publisher is not None and d.publisher.get_subscription_count()
+                                  for d in machine.drivers) and machine.statuses > 0, STARTED,
+                      'a replacer that hears all topics and tells its status')
+    if machine.clock is not None and machine.node.count_publishers('/clock') > 1:
+        raise BadInput('fault_injection', '/clock', 'somebody else publishes it',
+                       'end that, or try a replacer without use_sim_time')
+    if context.process is not None and not context.process.alive:
+        return f'the replacer has died: {context.process.last_words()}'
+    return '; '.join(context.wrong)
+
+
+def _attempt(context: CaseContext, case: Case, tries: Counter[str]) -> CaseResult | None:
+    """Try a case; None if it is to be tried again, because this computer was too busy to tell."""
+    result = _try(context, case)
+    tries[case.name] += 1
+    if result.outcome == 'FAIL' and context.busy:
+        if tries[case.name] < TRIES:
+            return None
+        result = replace(result, outcome='skipped',
+                         seen=f'this computer is too busy ({context.busy}): {result.seen}')
+    del tries[case.name]
     return result
 
 
-def _try_in_time(stage: Stage, case: Case) -> Result:
-    """Try a case, twice if it failed and the machine was late: then it was another machine."""
-    result = _try(stage, case)
-    rig = stage.rig
-    if result.outcome == 'FAIL' and rig.late > LATE and rig.now < rig.world.end - MARGIN:
-        result = _try(stage, case)
-    return result
-
-
-def _try(stage: Stage, case: Case) -> Result:
+def _try(context: CaseContext, case: Case) -> CaseResult:
     began = time.monotonic()
-    stage.begin()
+    context.begin()
     skipped = ''
     try:
-        case.act(stage)
+        case.act(context)
     except Skipped as reason:
         skipped = str(reason)
     except (GaveUp, Exhausted) as reason:
-        stage.wrong += [str(reason)] if str(reason) else []
-    wrong = [] if skipped else stage.finish()
-    _settle(stage)
+        context.wrong += [str(reason)] if str(reason) else []
+    wrong = [] if skipped else context.finish()
+    _settle(context)
     seconds = time.monotonic() - began
     if skipped:
-        return Result(case.name, case.expected, skipped, 'skipped', seconds)
-    seen = '; '.join(wrong) if wrong else '; '.join(stage.seen) or 'as expected'
-    return Result(case.name, case.expected, seen, 'FAIL' if wrong else 'PASS', seconds)
+        return CaseResult(case.name, case.expected, skipped, 'skipped', seconds)
+    seen = '; '.join(wrong) if wrong else '; '.join(context.seen) or 'as expected'
+    return CaseResult(case.name, case.expected, seen, 'FAIL' if wrong else 'PASS', seconds)
 
 
-def _settle(stage: Stage) -> None:
+def _settle(context: CaseContext) -> None:
     """Have all sensors healthy and believed, whatever a case has left."""
+    context.machine.paused = False
     try:
-        stage.heal()
-        if stage.rig.isolator is None:
-            stage.rig.open_isolator()
-        if stage.process is not None and not stage.process.alive:
-            stage.process = stage.start()
-            stage.fresh = False
-        if stage.wrong:     # it was not in the states that it should have been in
-            stage.fresh = False
-            stage.believe(*stage.setup.plant.sensors)
-        stage.rig.paused = False
+        context.heal()
+        if context.machine.isolator is None:
+            context.machine.open_isolator()
+        if context.process is not None and not context.process.alive:
+            context.process = context.start()
+            context.fresh = False
+        if context.wrong:   # it was not in the states that it should have been in
+            context.fresh = False
+            context.believe(*context.tested.plant.sensors)
     except (GaveUp, Exhausted):
-        stage.fresh = False
+        context.fresh = False
+
+
+def _no_private_shm() -> str:
+    """Return why a /dev/shm of its own cannot be made for a process, '' if it can."""
+    if sys.platform != 'linux' or not shutil.which('unshare'):
+        return 'there is no unshare'
+    tried = subprocess.run([*_tiny_shm(), 'true'], stdin=subprocess.DEVNULL, capture_output=True,
+                           text=True)
+    return '' if tried.returncode == 0 else 'no mount namespace can be made here: ' + (
+        tried.stderr.strip().splitlines() or ['refused'])[-1]
+
+
+def _tiny_shm() -> list[str]:
+    """Return the beginning of a command that runs where /dev/shm has room for nothing."""
+    user = [] if os.geteuid() == 0 else ['--user', '--map-root-user']
+    return ['unshare', *user, '--mount', '--propagation', 'private', 'sh', '-c',
+            f'mount -t tmpfs -o size={TINY}k tmpfs /dev/shm && exec "$@"', 'sh']

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-import yaml
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.functions.expression import compile_expression, parse
 from vsensor_ros.plant import Plant
+from vsensor_ros.simulate.drive import DRIVE, Drive, HOLD, read_drive, Run
 from vsensor_ros.simulate.fault import Channel
-from vsensor_ros.simulate.simulate import readings, simulate
+from vsensor_ros.simulate.section import Section
 
 Array = NDArray[np.float64]
 
@@ -24,14 +23,15 @@ SENSOR_RATE = 100.0     # Hz, the same of a continuous plant
 TRIED = 4.0             # s in which those must move every sensor, or they are made wider
 WIDER = (1.0, 2.0, 4.0, 8.0)  # friction holds what is pushed too weakly
 SLOW, FAST = 0.7, 1.9   # rad/s, of the commands where no scenario gives them
+FALLEN = 10.0           # an unstable plant moves so much more in the last quarter than before
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class Truth:
     """What every channel is and says; times in s from the start, values in the channels' units."""
 
     time: Array               # (T,), when the sensors read
-    truth: Mapping[str, Array]    # (T,) by sensor
+    value: Mapping[str, Array]    # (T,) by sensor
     said: Mapping[str, Channel]             # by sensor and command, without faults
     span: Mapping[str, float]               # max - min of the truth, by sensor
     noise: Mapping[str, float]              # standard deviation of what is read, by sensor
@@ -43,77 +43,71 @@ class World:
 
     def at(self, sensor: str, time: Any) -> Any:
         """Return the truth at times [s], interpolated."""
-        return np.interp(time, self.time, self.truth[sensor])
+        return np.interp(time, self.time, self.value[sensor])
 
 
-def make_world(plant: Plant, scenario: Path | None, duration: float) -> World:
+def compute_truth(plant: Plant, scenario: Path | None, duration: float) -> Truth:
     """
     Simulate a plant for `duration` [s], driven as the `simulation` of a demo.yaml says.
 
-    Without a scenario the commands swing about the operating point. Raises BadInput.
+    Without a scenario, or where it gives no inputs, the commands swing about the operating point.
+    Raises BadInput.
     """
-    given = {} if scenario is None else _simulation(scenario)
-    where = str(scenario or plant.name)
-    rate = 1.0 / plant.sample_time if plant.sample_time else float(
-        given.get('sensor_rate', SENSOR_RATE))
-    command_rate = float(given.get('command_rate', min(rate, COMMAND_RATE)))
-    t = np.arange(round(duration * rate) + 1) / rate
-    held = np.floor(t * command_rate + 1e-9) / command_rate
-
-    def signals(key: str, names: tuple[str, ...], at: Array) -> Array:
-        texts = given.get(key) or {}
-        columns = [compile_expression(parse(texts.get(n, 0.0), where, f'{key}.{n}', ['t']), ['t'])(
-            [at]) for n in names]
-        return np.array([np.broadcast_to(c, at.shape) for c in columns], float).reshape(
-            len(names), len(at)).T
-
-    rho = signals('disturbances', plant.disturbances, t)
-    start = given.get('initial') or {}
-    x0 = [start.get(name, value) for name, value in zip(plant.states, plant.initial)]
-    try:
-        u = signals('inputs', plant.inputs, held) if 'inputs' in given else \
-            _swinging(plant, t, held, rho, x0)
-        x = simulate(plant, t, u, rho, x0)
-    except ArithmeticError as error:
-        raise BadInput(where, 'simulation', str(error), 'give inputs that it can follow') from None
-    noise = {name: float(size) for name, size in zip(plant.sensors, np.nan_to_num(plant.noise))}
-    noise |= given.get('noise') or {}
-    random = np.random.default_rng(0)
-    truth, said = {}, {}
-    for name, y in zip(plant.sensors, readings(plant, t, x, u, rho).T):
-        truth[name] = y
-        said[name] = Channel.of(t, y + noise[name] * random.standard_normal(len(y)))
+    given = Section(plant.name, 'simulation', {}) if scenario is None else _simulation(scenario)
+    given.expect(set(), DRIVE)
+    rate = 1.0 / plant.sample_time if plant.sample_time else SENSOR_RATE
+    rate = given.number('sensor_rate') if 'sensor_rate' in given.content else rate
+    command_rate = given.number('command_rate') if 'command_rate' in given.content else min(
+        rate, COMMAND_RATE)
+    drive = read_drive(given, plant, rate, command_rate)
+    drive = replace(drive, noise={name: float(size) for name, size in zip(
+        plant.sensors, np.nan_to_num(plant.noise))} | dict(drive.noise))
+    if 'inputs' not in given.content:
+        drive = _swinging(plant, drive)
+    run = drive.run(plant, np.arange(round(duration * rate) + 1) / rate)
+    for name, y in run.readings.items():
         if not np.ptp(y) > 0.0:
-            raise BadInput(where, name, 'never moves, so that nothing can be told of it',
+            raise BadInput(given.where, name, 'never moves, so that nothing can be told of it',
                            'give inputs that move it')
-    first = np.unique(held, return_index=True)[1]
-    said |= {name: Channel.of(t[first], values[first]) for name, values in zip(plant.inputs, u.T)}
-    return World(t, truth, said, {s: float(np.ptp(y)) for s, y in truth.items()}, noise)
+    if not drive.closed and (name := _fallen(plant, run)):
+        raise BadInput(given.where, name, f'runs away: {plant.name} is unstable', HOLD)
+    return Truth(run.time, run.readings, drive.said(run) | run.commands,
+                 {s: float(np.ptp(y)) for s, y in run.readings.items()}, drive.noise)
 
 
-def _simulation(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
-        simulation = content['simulation']
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(path, '', f'cannot be read: {error}'[:200], 'give a demo.yaml') from None
-    except (KeyError, TypeError):
-        raise BadInput(path, 'simulation', 'is missing',
-                       'give a scenario that is simulated, or none') from None
-    if not isinstance(simulation, dict):
-        raise BadInput(path, 'simulation', 'is not a mapping', 'write name: value pairs')
-    return simulation
+def _simulation(path: Path) -> Section:
+    given = Section.of(path)
+    if 'simulation' not in given.content:
+        raise given.bad('simulation', 'is missing',
+                        'give a scenario that is simulated, or none')
+    return given.inner('simulation')
 
 
-def _swinging(plant: Plant, t: Array, held: Array, rho: Array, x0: list[float]) -> Array:
-    """Return commands (T, m) that swing about the operating point, wide enough to move all."""
+def _swinging(plant: Plant, drive: Drive) -> Drive:
+    """Give commands that swing about the operating point, wide enough to move all."""
     size = np.where(plant.operating_input != 0.0, 0.4 * np.abs(plant.operating_input), 1.0)
     phase = 1.3 * np.arange(len(size))
-    wave = np.sin(SLOW * held[:, None] + phase) + 0.5 * np.sin(FAST * held[:, None] + 2.0 * phase)
-    part = slice(np.searchsorted(t, TRIED) + 1)
+
+    def swung(factor: float) -> Drive:
+        def law(t: Array, _: Array) -> Array:
+            wave = np.sin(SLOW * t[:, None] + phase) + 0.5 * np.sin(
+                FAST * t[:, None] + 2.0 * phase)
+            return plant.operating_input + factor * size * wave
+        return replace(drive, law=law, closed=False)
+
+    tried = np.arange(round(TRIED * drive.sensor_rate) + 2) / drive.sensor_rate
     for factor in WIDER:
-        u = plant.operating_input + factor * size * wave
-        x = simulate(plant, t[part], u[part], rho[part], x0)
-        if np.ptp(readings(plant, t[part], x, u[part], rho[part]), axis=0).all():
+        swinging = swung(factor)
+        if all(np.ptp(y) for y in swinging.run(plant, tried).readings.values()):
             break
-    return u
+    return swinging
+
+
+def _fallen(plant: Plant, run: Run) -> str:
+    """Return a sensor that runs away because nothing holds an unstable plant, '' if none does."""
+    poles = np.linalg.eigvals(plant.A)
+    if not (poles.real > 1e-6 if plant.sample_time is None else np.abs(poles) > 1 + 1e-6).any():
+        return ''
+    last = 3 * len(run.time) // 4
+    return next((name for name, y in run.readings.items()
+                 if np.ptp(y) > FALLEN * np.ptp(y[:last])), '')

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from vsensor_ros.lab.injection.truth import World
+from vsensor_ros.lab.injection.truth import Truth
 
 PART = 0.05             # of a channel's range that any value may be wrong by
 SIGMAS = 5.0            # of its stated deviation, if that is more
 LONGEST_GAP = 0.5       # s without a value of a channel that should go on
-NEAR = 0.03             # s about a value in which its deviation is stated
+NEAR = 0.03             # s about the stamp, else the arrival, of a value's deviation
 
 Span = tuple[float, float]  # of arrivals
 
@@ -25,8 +25,9 @@ class Out(NamedTuple):
 
     topic: str
     arrival: float              # s, monotonic
+    said: float                 # s, monotonic, of the stamp, else of the arrival
     stamp: int | None           # ns; None when the type has none
-    time: float                 # s, the world's, of the stamp, else of the arrival
+    time: float                 # s, the truth's, of the stamp, else of the arrival
     values: Mapping[str, float | str]   # by sensor: the value, or why there is none
     frame: str
     names: tuple[str, ...]      # of the elements, where the type names them
@@ -40,7 +41,7 @@ class Stated(NamedTuple):
     deviation: float
 
 
-class Told(NamedTuple):
+class StatusHeard(NamedTuple):
     """One status message of the replacer."""
 
     arrival: float              # s, monotonic
@@ -48,12 +49,12 @@ class Told(NamedTuple):
 
 
 @dataclass
-class Heard:
+class Evidence:
     """All that was heard in one case, and what is known of when it may be what."""
 
     begun: float                # s, monotonic
     outs: list[Out] = field(default_factory=list)
-    told: list[Told] = field(default_factory=list)
+    told: list[StatusHeard] = field(default_factory=list)
     stated: dict[str, list[Stated]] = field(default_factory=dict)   # by channel, in order
     unreadable: int = 0         # messages on output topics that are none of their type
     blind: dict[str, list[Span]] = field(default_factory=dict)  # faults nobody knows of yet
@@ -64,7 +65,7 @@ class Heard:
     ended: float = math.nan     # s, monotonic
 
 
-def judge(heard: Heard, world: World, frames: Mapping[str, tuple[str, tuple[str, ...]]],
+def judge(heard: Evidence, truth: Truth, frames: Mapping[str, tuple[str, tuple[str, ...]]],
           untimed: float, gives_numbers: bool) -> list[str]:
     """
     Return what was wrong in one case, in words; [] when nothing was.
@@ -85,15 +86,15 @@ def judge(heard: Heard, world: World, frames: Mapping[str, tuple[str, tuple[str,
         if strange:
             wrong.append(f'{topic}: {len(strange)} messages with another frame_id or other names '
                          f'({strange[0].frame!r} {strange[0].names})')
-    for name in world.truth:
+    for name in truth.value:
         outs = [out for out in heard.outs if name in out.values]
         none = intervals_without_source(heard.told, name)
-        wrong += _values(name, outs, heard, world, none, untimed, gives_numbers)
+        wrong += _values(name, outs, heard, truth, none, untimed, gives_numbers)
         wrong += _gaps(name, outs, heard, none)
     return wrong
 
 
-def path_of(told: Sequence[Told], name: str) -> list[str]:
+def path_of(told: Sequence[StatusHeard], name: str) -> list[str]:
     """Return the sources that a channel has had, in order; a silent sensor is a real source."""
     path: list[str] = []
     for status in told:
@@ -104,13 +105,29 @@ def path_of(told: Sequence[Told], name: str) -> list[str]:
     return path
 
 
-def intervals_without_source(told: Sequence[Told], name: str) -> list[Span]:
-    """Return when a channel was said to have no valid source, widened by the statuses' delay."""
+def switches_of(facts: Mapping[str, Mapping[str, str]], name: str) -> int:
+    """Return how often a channel has switched, as a status says; 0 when it does not."""
+    text = facts.get(name, {}).get('switches', '0')
+    return int(text) if text.isdigit() else 0
+
+
+def intervals_without_source(told: Sequence[StatusHeard], name: str) -> list[Span]:
+    """
+    Return when a channel had no valid source as was said, widened by the statuses' delay.
+
+    Statuses are some time apart: one that counts two switches more than the one before tells of a
+    source in between that was too short to be told.
+    """
     spans: list[Span] = []
     begun: float | None = None
+    before: tuple[float, int] | None = None
     for status in told:
         if name not in status.facts:
             continue
+        count = switches_of(status.facts, name)
+        if before is not None and count - before[1] > 1:
+            spans.append((before[0] - 0.3, status.arrival + 0.2))
+        before = status.arrival, count
         if status.facts[name].get('source') in ('none', 'silent'):
             begun = status.arrival if begun is None else begun
         elif begun is not None:
@@ -126,9 +143,10 @@ def _stamps(topic: str, outs: Sequence[Out], loose: Sequence[Span]) -> list[str]
     return [f'{topic}: {len(back)} stamps do not increase'] if back else []
 
 
-def _values(name: str, outs: Sequence[Out], heard: Heard, world: World, none: Sequence[Span],
+def _values(name: str, outs: Sequence[Out], heard: Evidence, truth: Truth, none: Sequence[Span],
             untimed: float, gives_numbers: bool) -> list[str]:
-    judged = [o for o in outs if not _within(o.arrival, heard.blind.get(name, ()))]
+    blind = heard.blind.get(name, ())   # what was said in time may have come late
+    judged = [o for o in outs if not (_within(o.arrival, blind) or _within(o.said, blind))]
     values = [(o, v) for o in judged if isinstance(v := o.values[name], float)]
     no_numbers = [o for o, v in values if not math.isfinite(v)
                   and (math.isinf(v) or not _within(o.arrival, none))]
@@ -137,16 +155,16 @@ def _values(name: str, outs: Sequence[Out], heard: Heard, world: World, none: Se
         wrong.append(f'{name}: {len(no_numbers)} values are no numbers')
     numbers = [(o, v) for o, v in values if math.isfinite(v)
                and not (gives_numbers and _within(o.arrival, none))]
-    bars = _bars(name, [out for out, _ in numbers], heard, world)
+    bars = _bars(name, [out for out, _ in numbers], heard, truth)
     worst, bad = ('', 0.0), []
     for (out, value), bar in zip(numbers, bars):
         around = (out.time,) if out.stamp is not None else np.linspace(
             out.time - untimed, out.time + untimed, 9)
-        error = float(np.min(np.abs(value - world.at(name, np.asarray(around)))))
+        error = float(np.min(np.abs(value - truth.at(name, np.asarray(around)))))
         if error > bar:
             bad.append(out.arrival - heard.begun)
             if error / bar > worst[1]:
-                worst = (f'{value:.4g} for {world.at(name, out.time):.4g}, {bar:.2g} allowed',
+                worst = (f'{value:.4g} for {truth.at(name, out.time):.4g}, {bar:.2g} allowed',
                          error / bar)
     if bad:
         wrong.append(f'{name}: {len(bad)} of {len(numbers)} values are wrong ({worst[0]}; '
@@ -154,28 +172,43 @@ def _values(name: str, outs: Sequence[Out], heard: Heard, world: World, none: Se
     return wrong
 
 
-def _bars(name: str, outs: Sequence[Out], heard: Heard, world: World) -> list[float]:
+def _bars(name: str, outs: Sequence[Out], heard: Evidence, truth: Truth) -> list[float]:
     """Return the errors allowed: a part of the range, or several stated deviations."""
     # what a real one says has the noise of its sensor
-    least = max(PART * world.span[name], SIGMAS * world.noise[name])
-    stated = heard.stated.get(name, [])
-    keys = [s.arrival for s in stated]
+    least = max(PART * truth.span[name], SIGMAS * truth.noise[name])
+    stated = [s for s in heard.stated.get(name, []) if math.isfinite(s.deviation)]
+    by_stamp, by_arrival = (sorted(stated, key=key) for key in (_stamp, _arrival))
     bars = []
     for out in outs:
-        near = stated[bisect_left(keys, out.arrival - NEAR):bisect_right(keys, out.arrival + NEAR)]
-        deviation = max((s.deviation for s in near if math.isfinite(s.deviation)
-                         and (out.stamp is None or abs(s.stamp - out.stamp) < NEAR * 1e9)),
-                        default=0.0)
-        bars.append(max(least, SIGMAS * deviation))
+        near = _about(by_arrival, _arrival, out.arrival, NEAR) if out.stamp is None else \
+            _about(by_stamp, _stamp, out.stamp, NEAR * 1e9)
+        bars.append(max(least, SIGMAS * max((s.deviation for s in near), default=0.0)))
     return bars
 
 
-def _gaps(name: str, outs: Sequence[Out], heard: Heard, none: Sequence[Span]) -> list[str]:
-    spoken = [heard.begun, *(o.arrival for o in outs if isinstance(v := o.values[name], float)
-                             and math.isfinite(v)), heard.ended]
+def _stamp(stated: Stated) -> float:
+    return stated.stamp
+
+
+def _arrival(stated: Stated) -> float:
+    return stated.arrival
+
+
+def _about(stated: Sequence[Stated], key: Callable[[Stated], float], at: float,
+           near: float) -> Sequence[Stated]:
+    return stated[bisect_left(stated, at - near, key=key):bisect_right(stated, at + near, key=key)]
+
+
+def _gaps(name: str, outs: Sequence[Out], heard: Evidence, none: Sequence[Span]) -> list[str]:
+    """Find gaps of what was heard; what came late, but is stamped without a gap, is none."""
+    spoken = [o for o in outs if isinstance(v := o.values[name], float) and math.isfinite(v)]
+    times = [heard.begun, *(o.arrival for o in spoken), heard.ended]
+    stamped = [math.inf, *(b.time - a.time if a.stamp is not None else math.inf
+                           for a, b in zip(spoken, spoken[1:])), math.inf]
     excused = [*heard.blind.get(name, ()), *heard.quiet, *none]
-    longest = max(b - a - sum(max(0.0, min(b, end) - max(a, begin)) for begin, end in excused)
-                  for a, b in zip(spoken, spoken[1:]))
+    longest = max(min(between, b - a - sum(max(0.0, min(b, end) - max(a, begin))
+                                           for begin, end in excused))
+                  for a, b, between in zip(times, times[1:], stamped))
     return [f'{name}: nothing went out for {longest:.2f} s'] if longest > LONGEST_GAP else []
 
 

@@ -9,15 +9,13 @@ import re
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-import rclpy
-from rclpy.context import Context
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
-from vsensor_ros.lab.injection.case_context import CONVERGED, Skipped, SOON, Stage
-from vsensor_ros.lab.injection.cases import BIAS, Case, fail_over, ONE, UNDETECTED
-from vsensor_ros.lab.injection.rig import Driver, Garble
+from vsensor_ros.lab.domain import open_nodes
+from vsensor_ros.lab.injection.case import BIAS, Case, fail_over, ONE, UNDETECTED
+from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, Skipped, SOON
+from vsensor_ros.lab.injection.machine import Driver, Garble
 from vsensor_ros.node.accessor import get_stamp, put_stamp
 
 BURST = 1000            # messages at once
@@ -27,9 +25,9 @@ GARBAGE_TIME = 4.0      # s in which they are sent
 TOLD = 12.0             # s in which what others do on the topics must be told
 
 
-def wrong_length(stage: Stage) -> None:
+def wrong_length(context: CaseContext) -> None:
     """Leave the failed sensor's element out of its array, or add some."""
-    port = stage.setup.wiring.ports[stage.target]
+    port = context.tested.wiring.ports[context.target]
     match = re.fullmatch(r'(?:(.+)\.)?(\w+)\[\w+\]', port.field.path)
     if match is None:
         raise Skipped(f'{port.field.path} is no element of an array')
@@ -46,40 +44,34 @@ def wrong_length(stage: Stage) -> None:
         return (message,)
 
     try:
-        garble(copy.deepcopy(stage.rig.driver_of(stage.target).message))
+        garble(copy.deepcopy(context.machine.driver_of(context.target).message))
     except (TypeError, AssertionError, AttributeError, ValueError):
         raise Skipped(f'the length of {port.field.path} is fixed') from None
-    driver = stage.rig.driver_of(stage.target)
+    driver = context.machine.driver_of(context.target)
 
     def begin() -> None:
         for other in driver.ports:
             if re.match(re.escape(f'{match[1] + "." if match[1] else ""}{match[2]}['),
                         other.field.path):
-                stage.undetected(other.name)
+                context.undetected(other.name)
         driver.garble = garble
-    fail_over(stage, begin)
+    fail_over(context, begin)
 
 
-def wrong_type(stage: Stage) -> None:
+def wrong_type(context: CaseContext) -> None:
     """Let somebody publish another type on the driver's topic."""
-    context = Context()
-    rclpy.init(context=context, domain_id=stage.rig.node.context.get_domain_id(),
-               signal_handler_options=SignalHandlerOptions.NO)
-    stranger = rclpy.create_node('stranger', context=context)
-    try:
-        topic = stage.rig.driver_of(stage.target).topic
+    domain = context.machine.node.context.get_domain_id()
+    with open_nodes('stranger', domain=domain) as (stranger,):
+        topic = context.machine.driver_of(context.target).topic
         publisher = stranger.create_publisher(String, topic, 10)
-        stage.told('std_msgs/msg/String', within=TOLD)
+        context.told('std_msgs/msg/String', within=TOLD)
         for _ in range(50):
             publisher.publish(String(data='x' * 100))
-            stage.play(0.01)
-        fail_over(stage, lambda: stage.fault('freeze'))
-    finally:
-        stranger.destroy_node()
-        rclpy.shutdown(context=context)
+            context.play(0.01)
+        fail_over(context, lambda: context.fault('freeze'))
 
 
-def burst(stage: Stage) -> None:
+def burst(context: CaseContext) -> None:
     """Let all drivers send a thousand messages at once, while healthy and while replaced."""
     def thousand_of(driver: Driver) -> Garble:
         def garble(message: Any) -> Sequence[Any]:
@@ -94,44 +86,44 @@ def burst(stage: Stage) -> None:
         return garble
 
     def at_once() -> None:
-        for driver in _sensors(stage):
+        for driver in _sensors(context):
             driver.garble = thousand_of(driver)
-        stage.play(0.6)
+        context.play(0.6)
 
     at_once()
-    target = stage.target
-    stage.fault('bias', size=BIAS * stage.rig.world.span[target])
-    stage.play(UNDETECTED)
-    stage.isolate(target)
-    stage.expect(target, 'virtual')
+    target = context.target
+    context.fault('bias', size=BIAS * context.span(target))
+    context.play(UNDETECTED)
+    context.isolate(target)
+    context.expect(target, 'virtual')
     at_once()
-    stage.heal()
-    stage.believe(target)
-    stage.expect_path(target, 'real', 'virtual', 'real')
+    context.heal()
+    context.believe(target)
+    context.expect_path(target, 'real', 'virtual', 'real')
 
 
-def garbage(stage: Stage) -> None:
+def garbage(context: CaseContext) -> None:
     """Send what is no message on the drivers' and the isolation's topics, 10^5 times."""
     draw = random.Random(0)
-    isolator = stage.rig.isolator
+    isolator = context.machine.isolator
     assert isolator is not None
-    rubbish = [(driver.publisher, what) for driver in _sensors(stage)
+    rubbish = [(driver.publisher, what) for driver in _sensors(context)
                for what in _not_messages(driver, draw)]
     rubbish += [(isolator, what) for what in _not_isolation(isolator.msg_type, draw)]
     sent = 0
     while sent < GARBAGE:
-        begun = stage.rig.now
+        begun = context.machine.now
         for _ in range(GARBAGE // 1000):
             publisher, what = draw.choice(rubbish)
             if publisher is not None:
                 publisher.publish(what)
             sent += 1
-        stage.play(max(0.0, GARBAGE_TIME / 1000 - (stage.rig.now - begun)))
-    stage.play(1.0)     # what is allowed in a second may have been used up
-    fail_over(stage, lambda: stage.fault('freeze'))
+        context.play(max(0.0, GARBAGE_TIME / 1000 - (context.machine.now - begun)))
+    context.play(1.0)     # what is allowed in a second may have been used up
+    fail_over(context, lambda: context.fault('freeze'))
 
 
-def disorder(stage: Stage) -> None:
+def disorder(context: CaseContext) -> None:
     """Let readings come twice, in the wrong order, and late."""
     draw = random.Random(0)
 
@@ -151,60 +143,60 @@ def disorder(stage: Stage) -> None:
             return [*now, *due]
         return garble
 
-    for driver in _sensors(stage):
+    for driver in _sensors(context):
         driver.garble = shuffled() if driver.stamped else lambda message: (message, message)
-    stage.play(0.7)
-    fail_over(stage, lambda: stage.fault('spikes', size=stage.rig.world.span[stage.target],
+    context.play(0.7)
+    fail_over(context, lambda: context.fault('spikes', size=context.span(context.target),
                                          probability=0.3))
 
 
-def publisher_restart(stage: Stage) -> None:
+def publisher_restart(context: CaseContext) -> None:
     """Let the driver die and come back, while healthy and while its sensor is replaced."""
-    target, node = stage.target, stage.rig.node
-    driver = stage.rig.driver_of(target)
+    target, node = context.target, context.machine.node
+    driver = context.machine.driver_of(target)
 
     def restart() -> None:
         for port in driver.ports:   # what it said last is sent on with the others for a while
-            stage.undetected(port.name)
-        with stage.excused():
+            context.undetected(port.name)
+        with context.excused():
             driver.close(node)
-            stage.play(0.4)
+            context.play(0.4)
             driver.open(node)
             publisher = driver.publisher
             assert publisher is not None
-            stage.until(lambda: publisher.get_subscription_count() > 0, SOON, 'a listener again')
-            stage.play(0.3)
-        stage.detected()
+            context.until(lambda: publisher.get_subscription_count() > 0, SOON, 'a listener again')
+            context.play(0.3)
+        context.detected()
 
     restart()
     for port in driver.ports:
-        stage.expect(port.name, 'real')
-    stage.fault('bias', size=BIAS * stage.rig.world.span[target])
-    stage.play(UNDETECTED)
-    stage.isolate(target)
-    stage.expect(target, 'virtual', CONVERGED)  # what it reads may have been away
+        context.expect(port.name, 'real')
+    context.fault('bias', size=BIAS * context.span(target))
+    context.play(UNDETECTED)
+    context.isolate(target)
+    context.expect(target, 'virtual', CONVERGED)  # what it reads may have been away
     restart()
-    stage.expect(target, 'virtual', CONVERGED)
-    stage.play(0.5)
-    stage.heal()
-    stage.believe(target)
+    context.expect(target, 'virtual', CONVERGED)
+    context.play(0.5)
+    context.heal()
+    context.believe(target)
 
 
-def isolator_restart(stage: Stage) -> None:
+def isolator_restart(context: CaseContext) -> None:
     """Let the isolator die while a sensor is replaced, and come back without a word."""
     def begin() -> None:
-        stage.fault('freeze')
-        stage.play(UNDETECTED)
-        stage.isolate(stage.target)
-        stage.expect(stage.target, 'virtual')
-        stage.rig.close_isolator()
-        stage.play(0.7)
-        stage.rig.open_isolator()
-    fail_over(stage, begin)
+        context.fault('freeze')
+        context.play(UNDETECTED)
+        context.isolate(context.target)
+        context.expect(context.target, 'virtual')
+        context.machine.close_isolator()
+        context.play(0.7)
+        context.machine.open_isolator()
+    fail_over(context, begin)
 
 
-def _sensors(stage: Stage) -> list[Driver]:
-    return [d for d in stage.rig.drivers if d.ports[0].name in stage.rig.world.truth]
+def _sensors(context: CaseContext) -> list[Driver]:
+    return [d for d in context.machine.drivers if d.ports[0].name in context.machine.truth.value]
 
 
 def _not_messages(driver: Driver, draw: random.Random) -> list[bytes]:
@@ -227,7 +219,7 @@ def _not_isolation(kind: Any, draw: random.Random) -> list[Any]:
         for name in names if len(name) < 10_000 or draw.random() < 0.5)]
 
 
-HOSTILE = (
+MESSAGE_CASES = (
     Case('wrong_length', ONE, wrong_length, 2.5),
     Case('wrong_type', f'said; {ONE}', wrong_type, 9.0),
     Case('burst', ONE, burst, 4.0),

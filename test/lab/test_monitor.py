@@ -15,8 +15,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from vsensor_ros.command import monitor
-from vsensor_ros.lab.demo_failover import reserved_domain
+from vsensor_ros.command.monitor import main
+from vsensor_ros.lab import monitor
+from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.screen import changes, duration, read_status, screen
 
 WORDS = 'virtual (isolated), from y3, voltage, good to 0.02 rad/s; repair y2'
@@ -181,7 +182,7 @@ def replacer(monkeypatch):
 
 
 def test_a_status_is_heard_late(replacer, capsys):
-    assert monitor.main(['--once', '--node', '/arm/replacer']) == 0
+    assert main(['--once', '--node', '/arm/replacer']) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith('/arm/replacer active') and lines[4].startswith('y2      virtual')
 
@@ -197,7 +198,7 @@ def test_changes_are_printed_and_silence_and_all_again_after_it(replacer, monkey
         if said[-1] == '/arm/replacer SILENT':
             replacer.publish(DiagnosticArray(status=[served(), loop()]))
     monkeypatch.setattr(monitor, 'print', say, raising=False)
-    assert monitor.main(['--plain', '--node', 'arm/replacer']) == 0
+    assert main(['--plain', '--node', 'arm/replacer']) == 0
     assert said == ['replacer', 'y1', 'y2', '/arm/replacer SILENT', 'replacer', 'y2',
                     '/arm/replacer SILENT']
 
@@ -227,7 +228,7 @@ def test_on_a_terminal_it_is_drawn_until_interrupted(replacer):
 
 def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
     monkeypatch.setattr(monitor, 'PATIENCE', 0.5)
-    assert monitor.main(['--once']) == 1
+    assert main(['--once']) == 1
     assert capsys.readouterr().err == (
         'no replacer on /replacer/status: is it running? ros2 node list; or is it --node '
         '/arm/replacer?\n')
@@ -235,7 +236,7 @@ def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
 
 @pytest.mark.parametrize('name', ['', '/', 'a b', '/1x', 'a//b'])
 def test_a_bad_name_is_refused_in_one_line(name, capsys):
-    assert monitor.main(['--once', '--node', name]) == 2
+    assert main(['--once', '--node', name]) == 2
     said = capsys.readouterr().err
     assert '--node' in said and said.count('\n') == 1
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 import time
 from typing import Any
 
@@ -15,8 +15,9 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from vsensor_ros.lab.injection.truth import World
-from vsensor_ros.lab.injection.verdict import Heard, Out, Stated, Told
+from vsensor_ros.lab.domain import by_hand, take
+from vsensor_ros.lab.injection.truth import Truth
+from vsensor_ros.lab.injection.verdict import Evidence, Out, Stated, StatusHeard
 from vsensor_ros.lab.wiring import blank, Port, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
 from vsensor_ros.simulate.fault import Channel
@@ -25,6 +26,7 @@ POLL = 0.001            # s between two looks at the topics
 CLOCK_STEP = 0.005      # s between two messages on /clock
 REPEAT = 0.5            # s between two messages of the isolator
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+STATUS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LISTEN = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 NAME_FIELDS = ('name', 'joint_names')
 
@@ -73,7 +75,7 @@ class Driver:
                 self.publisher.publish(sent)
 
 
-class Rig:
+class Machine:
     """
     The machine, its isolator and the listener; all in one thread, in `play`.
 
@@ -81,38 +83,38 @@ class Rig:
     stamps and to /clock; with `simulated`, time passes there only while `paused` is not set.
     """
 
-    def __init__(self, node: Node, wiring: Wiring, world: World, replacer: str,
+    def __init__(self, node: Node, wiring: Wiring, truth: Truth, replacer: str,
                  simulated: bool = False) -> None:
-        self.node, self.wiring, self.world = node, wiring, world
-        self.channels: dict[str, Channel] = dict(world.said)
-        self.heard = Heard(time.monotonic())
+        self.node, self.wiring, self.truth = node, wiring, truth
+        self.channels: dict[str, Channel] = dict(truth.said)
+        self.heard = Evidence(time.monotonic())
         self.faulty: frozenset[str] = frozenset()   # what isolation says
         self.shift, self._shift_before, self.paused = 0, 0, False
         self.late = 0.0     # s, the worst since it was last set to 0
-        self.now = 0.0      # s, the world's time
-        self._played: dict[str, int] = dict.fromkeys(world.said, 0)     # rows, by channel
+        self.now = 0.0      # s, the truth's time
+        self._played: dict[str, int] = dict.fromkeys(truth.said, 0)     # rows, by channel
         self._wall = time.monotonic()
         self.origin = time.time_ns()    # ns, the stamp of time 0
         self._repeated = self._clocked = 0.0
         by_source: dict[str, list[Port]] = {}
-        for name in world.said:
+        for name in truth.said:
             by_source.setdefault(wiring.ports[name].source, []).append(wiring.ports[name])
         self.drivers = [Driver(node, ports) for ports in by_source.values()]
         self.isolator: Publisher | None = None
         self.open_isolator()
         self.clock = node.create_publisher(Clock, '/clock', 10) if simulated else None
         self.outputs: dict[str, tuple[Subscription, list[Port]]] = {}
-        for name in world.truth:
+        for name in truth.value:
             port = wiring.ports[name]
             if port.output not in self.outputs:
                 self.outputs[port.output] = (node.create_subscription(
-                    port.kind, port.output, _ignore, LISTEN), [])
+                    port.kind, port.output, by_hand, LISTEN), [])
             self.outputs[port.output][1].append(port)
         self._status = node.create_subscription(
-            DiagnosticArray, f'{replacer}/status', _ignore, KEPT)
+            DiagnosticArray, f'{replacer}/status', by_hand, STATUS)
         self._estimates = node.create_subscription(
-            DiagnosticArray, f'{replacer}/estimates', _ignore, LISTEN)
-        self._diagnostics = node.create_subscription(DiagnosticArray, '/diagnostics', _ignore, 10)
+            DiagnosticArray, f'{replacer}/estimates', by_hand, LISTEN)
+        self._diagnostics = node.create_subscription(DiagnosticArray, '/diagnostics', by_hand, 10)
         self.latest: dict[str, dict[str, str]] = {}     # by channel: what ~/status said last
         self.said: dict[str, str] = {}                  # by name: what /diagnostics said last
         self.statuses = 0   # messages on ~/status
@@ -130,7 +132,7 @@ class Rig:
                 for d in [self.driver_of(ports[0].name)]}
 
     def play(self, seconds: float) -> None:
-        """Let time pass; raises Exhausted."""
+        """Let time pass; raise Exhausted."""
         end = time.monotonic() + seconds
         while True:
             self._step()
@@ -144,7 +146,7 @@ class Rig:
         passed, self._wall = wall - self._wall, wall
         if not self.paused:
             self.now += passed
-        if self.now > self.world.end:
+        if self.now > self.truth.end:
             raise Exhausted('the machine has run for longer than its truth was computed')
         if self.clock and wall - self._clocked >= CLOCK_STEP:
             self._clocked = wall
@@ -171,7 +173,7 @@ class Rig:
         self._played[first] = row
 
     def stamp(self, at: float) -> int:
-        """Return the stamp [ns] of a time of the world's."""
+        """Return the stamp [ns] of a time of the truth's."""
         return self.origin + self.shift + round(at * 1e9)
 
     def jump(self, seconds: float) -> None:
@@ -202,10 +204,10 @@ class Rig:
         if self.isolator is None:
             return
         if isinstance(message := self.isolator.msg_type(), DiagnosticArray):
-            message.header.stamp = self.node.get_clock().now().to_msg()
+            put_stamp(message, self.stamp(self.now))
             message.status = [DiagnosticStatus(
                 name=name, message='said by fault_injection', level=DiagnosticStatus.ERROR
-                if name in self.faulty else DiagnosticStatus.OK) for name in self.world.truth]
+                if name in self.faulty else DiagnosticStatus.OK) for name in self.truth.value]
         else:
             message.data = ' '.join(sorted(self.faulty))
         self.isolator.publish(message)
@@ -215,19 +217,19 @@ class Rig:
     def listen(self) -> None:
         """Take everything that has come."""
         for topic, (subscription, ports) in self.outputs.items():
-            for raw in _take(subscription, True):
+            for raw, _ in take(subscription, raw=True):
                 self._note(topic, ports, raw)
-        for message in _take(self._estimates):
+        for message, _ in take(self._estimates):
             self._note_estimates(message)
-        for message in _take(self._status):
+        for message, _ in take(self._status):
             facts = {s.name: {v.key: v.value for v in s.values} for s in message.status}
             self.statuses += 1
-            if any(name in facts for name in self.world.truth):     # else it is being shut down
+            if any(name in facts for name in self.truth.value):     # else it is being shut down
                 self.latest = facts
-                self.heard.told.append(Told(time.monotonic(), facts))
+                self.heard.told.append(StatusHeard(time.monotonic(), facts))
                 self.heard.spoken.update(self.wiring.ports[name].output for name in facts if (
                     facts[name].get('source') == 'virtual'))
-        for message in _take(self._diagnostics):
+        for message, _ in take(self._diagnostics):
             self.said.update({s.name: s.message for s in message.status})
 
     def _note_estimates(self, message: DiagnosticArray) -> None:
@@ -239,7 +241,7 @@ class Rig:
                         Stated(arrival, get_stamp(message), float(value.value)))
 
     def _note(self, topic: str, ports: Sequence[Port], raw: bytes) -> None:
-        arrival = time.monotonic()
+        arrival = said = time.monotonic()
         try:
             message = deserialize_message(raw, ports[0].kind)
         except Exception:   # the middleware's own kinds
@@ -250,7 +252,8 @@ class Rig:
             stamp, frame = get_stamp(message), message.header.frame_id
             at = min(((stamp - self.origin - shift) * 1e-9 for shift in (
                 self.shift, self._shift_before)), key=lambda time: abs(time - self.now))
-        self.heard.outs.append(Out(topic, arrival, stamp, at, {
+            said -= max(0.0, self.now - at)
+        self.heard.outs.append(Out(topic, arrival, said, stamp, at, {
             p.name: p.field.get(message) for p in ports}, frame, names_in(message)))
 
 
@@ -258,13 +261,3 @@ def names_in(message: Any) -> tuple[str, ...]:
     """Return the names of the elements of a message, () when its type has none."""
     return next((tuple(getattr(message, f)) for f in NAME_FIELDS
                  if isinstance(getattr(message, f, None), list)), ())
-
-
-def _ignore(message: Any) -> None:
-    """No executor runs here; messages are taken by hand."""
-
-
-def _take(subscription: Subscription, raw: bool = False) -> Iterator[Any]:
-    with subscription.handle:
-        while (taken := subscription.handle.take_message(subscription.msg_type, raw)):
-            yield taken[0]

@@ -1,0 +1,41 @@
+"""What a case is, and what most of them do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from vsensor_ros.lab.injection.case_context import CaseContext
+
+UNDETECTED = 0.3    # s from a fault to its isolation
+WATCHED = 0.9       # s that a replacement is watched
+BIAS = 0.5          # of the range
+ONE = 'real > virtual > real, one switch each'
+
+PLAIN, ALONE, FULL_SHM, SIMULATED = 'plain', 'alone', 'full_shm', 'simulated'
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing that can go wrong."""
+
+    name: str
+    expected: str       # in a few words
+    act: Callable[[CaseContext], None]
+    seconds: float      # of the machine's time, about, besides dwell and convergence
+    session: str = PLAIN    # ALONE: in a plain one, with a process of ours
+
+
+def fail_over(context: CaseContext, begin: Callable[[], None]) -> None:
+    """Let a fault begin, isolate it, watch, and let the sensor come back."""
+    target = context.target
+    context.play(0.2)
+    begin()
+    context.play(UNDETECTED)
+    context.isolate(target)
+    context.expect(target, 'virtual')
+    context.play(WATCHED)
+    context.heal()
+    context.believe(target)
+    context.play(0.2)
+    context.expect_path(target, 'real', 'virtual', 'real')
