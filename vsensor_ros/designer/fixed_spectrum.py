@@ -28,7 +28,7 @@ SPARING = 1.1  # reading fewer sensors may cost so much noise
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class GainEquations:
     """
     All solutions of ``W A = N W + j E``, ``v = Cv W + g E`` for one N.
 
@@ -51,7 +51,7 @@ class Fit:
 
     known: Quotient
     noise: NoiseModel
-    form: Form
+    form: GainEquations
     best: np.ndarray  # (u,)
     Z: np.ndarray  # (f, u)
     variance: float
@@ -123,7 +123,7 @@ def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
         row, gain = (row + 1, gain + s) if value.imag == 0 else (row + 2, gain + 2 * s)
     g_[gain:] = np.eye(c)
     M = np.einsum('k,ukr->ur', Cv[0], W_) + g_ @ known.E
-    return _least(known, noise, Form(N, Cv, np.zeros((k, known.order)), W_, j_, g_, M,
+    return _least(known, noise, GainEquations(N, Cv, np.zeros((k, known.order)), W_, j_, g_, M,
                                      known.v[0]))
 
 
@@ -158,7 +158,7 @@ def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | N
     Cv = np.zeros((1, k))
     Cv[0, 0] = size
     return _least(_less(known, known.v[0] - size * start), noise,
-                  Form(N, Cv, W0[:k], W_[:, :k], j_, g_, W_[:, k], -W0[k]))
+                  GainEquations(N, Cv, W0[:k], W_[:, :k], j_, g_, W_[:, k], -W0[k]))
 
 
 def _less(known: Quotient, measured: np.ndarray) -> Quotient:
@@ -187,7 +187,7 @@ def _modes(known: Quotient, spectrum: np.ndarray,
             yield value, rows[:, :len(A)], -rows[:, len(A):] * size
 
 
-def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
+def _least(known: Quotient, noise: NoiseModel, form: GainEquations) -> Fit | None:
     """Find the gains of least noise under ``gains M = target``, and the directions left free."""
     M, v = form.M, form.target
     if not (np.isfinite(M).all() and np.isfinite(form.W_).all()):
@@ -223,7 +223,7 @@ def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
 
 
 def _noise_form(known: Quotient, noise: NoiseModel,
-                form: Form) -> tuple[np.ndarray, np.ndarray, float]:
+                form: GainEquations) -> tuple[np.ndarray, np.ndarray, float]:
     """Return gram (u, u), linear (u,), constant: variance = g gram g' + 2 linear g + constant."""
     B, D = noise.drives(known)
     k, u = len(form.N), len(form.g_)
