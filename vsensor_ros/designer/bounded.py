@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag, LinAlgError, solve_continuous_are, solve_discrete_are
 
 from vsensor_ros.designer import invariant_spaces
-from vsensor_ros.designer.candidates import Contender, Ground, grounds, judged, static
+from vsensor_ros.designer.candidates import Ground, grounds, judged, JudgedCandidate, static
 from vsensor_ros.designer.canonical import identification_rows
 from vsensor_ros.designer.existence import avoidable_signs, examine, Existence
 from vsensor_ros.designer.gain import peak, peak_on_grid
@@ -38,7 +38,7 @@ from vsensor_ros.designer.observer import (
     knows_arguments,
     linearised,
 )
-from vsensor_ros.designer.order_noise import climb, SLUGGISH
+from vsensor_ros.designer.order_noise import search_orders, SLUGGISH
 from vsensor_ros.designer.papers import with_residual
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.quotient import Quotient
@@ -53,7 +53,7 @@ ALIKE = 1.02  # within this factor of the least disturbance, the quietest is tak
 INTENSITIES = 10.0 ** np.arange(-1, 7)  # of unknown inputs, against the process noise
 BISECTIONS = 4  # of the intensity, to the limit of the noise
 GUARDS = 5  # bisections of the bound that an H-infinity filter is made for
-CLOSURES = 4  # closed subspaces tried
+MOST_SPACES = 4  # invariant spaces tried
 LARGEST_HINTED = 60  # states of a plant for which a refusal names the alternative
 
 
@@ -236,26 +236,26 @@ def _grounds(relaxed: Relaxed, decay: float | None) -> list[Ground]:
 
 
 def _filters(ground: Ground, found: list[Filter | None], method: str = 'filter',
-             ) -> list[Contender]:
+             ) -> list[JudgedCandidate]:
     return judged(ground, [invariant_spaces.filter_candidate(ground.known, f, ground.terms)
                            for f in found if f is not None], method)
 
 
 def _swept(relaxed: Relaxed, ground: Ground, floor: float | None,
-           ) -> list[tuple[Disturbed, Contender]]:
+           ) -> list[tuple[Disturbed, JudgedCandidate]]:
     """
     Return Kalman filters for unknown inputs of growing intensity, up to the noise limit.
 
     ``floor``: the noise that the limit is a multiple of; by default that of the quietest.
     """
-    found: list[tuple[Disturbed, Contender]] = []
+    found: list[tuple[Disturbed, JudgedCandidate]] = []
 
     def tried(intensity: float) -> bool:
         noise = relaxed.noise(ground.noise, intensity)
-        for contender in _filters(ground, [kalman(ground.known, noise)]):
-            found.append((noise, contender))
+        for candidate in _filters(ground, [kalman(ground.known, noise)]):
+            found.append((noise, candidate))
             least = min(c.error for _, c in found) if floor is None else floor
-            return contender.error > NOISE_FACTOR * least
+            return candidate.error > NOISE_FACTOR * least
         return False
 
     low = high = 0.0
@@ -322,7 +322,7 @@ def _h_infinity(known: Quotient, B: np.ndarray, D: np.ndarray, g: np.ndarray, bo
         return None
 
 
-def _contenders(relaxed: Relaxed, ground: Ground) -> list[Contender]:
+def _candidates(relaxed: Relaxed, ground: Ground) -> list[JudgedCandidate]:
     """Return all virtual sensors that are tried on one ground."""
     swept = _swept(relaxed, ground, relaxed.floor)
     found = [*_filters(ground, [ground.filter]), *(c for _, c in swept), *static(ground)]
@@ -336,7 +336,7 @@ def _contenders(relaxed: Relaxed, ground: Ground) -> list[Contender]:
     rows = ([ground.known.v] if not len(ground.terms)
             else [ground.known.v, np.vstack([ground.known.v, ground.terms])])
     for outputs in rows:
-        for _, space in zip(range(CLOSURES), invariant_spaces.closures(ground.known, outputs)):
+        for _, space in zip(range(MOST_SPACES), invariant_spaces.spaces(ground.known, outputs)):
             found += judged(ground, invariant_spaces.candidates(
                 ground.known, last, space, ground.decay), 'closed subspace')
     return found
@@ -345,10 +345,10 @@ def _contenders(relaxed: Relaxed, ground: Ground) -> list[Contender]:
 def _chosen(relaxed: Relaxed, prefer: str, decay: float | None) -> VirtualSensor | None:
     """Return the least order that is disturbed nearly as little as any."""
     where = _grounds(relaxed, decay)
-    pool: list[tuple[float, Contender]] = []
+    pool: list[tuple[float, JudgedCandidate]] = []
     for ground in where:
         noise = relaxed.noise(ground.noise, 1.0)
-        pool += [(noise.gain(c.candidate), c) for c in _contenders(relaxed, ground)
+        pool += [(noise.gain(c.candidate), c) for c in _candidates(relaxed, ground)
                  if c.error <= relaxed.limit]
     if not pool:
         return None
@@ -364,18 +364,18 @@ def _chosen(relaxed: Relaxed, prefer: str, decay: float | None) -> VirtualSensor
     least = min(sensor.disturbance_gain for _, sensor in rungs.values())
     k = next(k for k, (_, sensor) in sorted(rungs.items())
              if prefer == 'least' or sensor.disturbance_gain <= WORTH * least)
-    contender, sensor = rungs[k]
+    candidate, sensor = rungs[k]
     ladder = tuple(Rung(order, c.error, v.noise_gain, c.decay, (
         f'{c.method}, unknown inputs times {v.disturbance_gain:.3g}'))
         for order, (c, v) in sorted(rungs.items()))
     return replace(sensor, ladder=ladder,
-                   noise=Noise(contender.error, min(relaxed.floor, contender.error),
+                   noise=Noise(candidate.error, min(relaxed.floor, candidate.error),
                                where[0].noise.assumed),
                    method=f'{sensor.method}; {_told(relaxed.original, relaxed.kept, sensor)}')
 
 
-def _built(relaxed: Relaxed, pool: list[tuple[float, Contender]],
-           ) -> tuple[Contender, VirtualSensor] | None:
+def _built(relaxed: Relaxed, pool: list[tuple[float, JudgedCandidate]],
+           ) -> tuple[JudgedCandidate, VirtualSensor] | None:
     """Build the quietest of those that are disturbed least."""
     while pool:
         least = min(gain for gain, _ in pool)
@@ -429,7 +429,7 @@ def _composed(problem: Problem, prefer: str, decay: float | None) -> VirtualSens
     if existence.obstruction is not None:
         return None
     signs = avoidable_signs(exact_problem)
-    exact = climb(exact_problem, existence, signs, prefer, decay, None)
+    exact = search_orders(exact_problem, existence, signs, prefer, decay, None)
     if isinstance(exact, Refusal):
         return None
     relaxed = relax(part(rest, _with_readings(plant, exact, exact_problem)))

@@ -16,14 +16,14 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.bounded import alternative, least_sensitive, singular
 from vsensor_ros.designer.certificate import certify
-from vsensor_ros.designer.exact import Verdict, verdict
+from vsensor_ros.designer.exact import ExactVerdict, verdict
 from vsensor_ros.designer.existence import (
     avoidable_signs,
     disturbed,
     examine,
     measured_signs,
 )
-from vsensor_ros.designer.order_noise import climb, doubtful
+from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.start import started
 from vsensor_ros.functions.expression import check_name
@@ -216,7 +216,7 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
     if exact and exact.forced != existence.forced:
         exact = None
     signs = avoidable_signs(problem)
-    found = (climb(problem, existence, signs, prefer, decay, exact) if method is None
+    found = (search_orders(problem, existence, signs, prefer, decay, exact) if method is None
              else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
                                      else 'identification'))
     risky = measured_signs(problem)
@@ -233,7 +233,7 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     return entry
 
 
-def referee(problem: Problem) -> Verdict | None:
+def referee(problem: Problem) -> ExactVerdict | None:
     """Ask exact arithmetic about a problem; None when its numbers are no typed decimals."""
     plant = problem.plant
     rows = [plant.sensors.index(s) for s in problem.healthy]

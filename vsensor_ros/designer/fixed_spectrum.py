@@ -46,7 +46,7 @@ class GainEquations:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Solutions:
     """All virtual sensors with one N: gains ``best + t Z``, variance ``variance + |t|^2``."""
 
     known: Quotient
@@ -90,11 +90,11 @@ class Fit:
         return np.asarray(self.best + t @ self.Z)
 
 
-def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
+def with_spectrum(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Solutions | None:
     """
     Return all virtual sensors of one functional with this spectrum, around the quietest.
 
-    ``spectrum`` (k,) closed under conjugation; where eigenvalues repeat, ``fit_hessenberg`` is
+    ``spectrum`` (k,) closed under conjugation; where eigenvalues repeat, ``with_polynomial`` is
     to be taken. None when there is no virtual sensor.
     """
     k, c = len(spectrum), len(known.E)
@@ -123,8 +123,8 @@ def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
         row, gain = (row + 1, gain + s) if value.imag == 0 else (row + 2, gain + 2 * s)
     g_[gain:] = np.eye(c)
     M = np.einsum('k,ukr->ur', Cv[0], W_) + g_ @ known.E
-    return _least(known, noise, GainEquations(N, Cv, np.zeros((k, known.order)), W_, j_, g_, M,
-                                     known.v[0]))
+    return _least(known, noise, GainEquations(
+        N, Cv, np.zeros((k, known.order)), W_, j_, g_, M, known.v[0]))
 
 
 def repeated(spectrum: np.ndarray) -> bool:
@@ -133,7 +133,7 @@ def repeated(spectrum: np.ndarray) -> bool:
     return bool(len(spectrum) > 1 and gaps.min() <= REPEATED * np.abs(spectrum).max())
 
 
-def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | None:
+def with_polynomial(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Solutions | None:
     """
     Return all virtual sensors whose N (k, k) is a member of a ``Family``, around the quietest.
 
@@ -187,7 +187,7 @@ def _modes(known: Quotient, spectrum: np.ndarray,
             yield value, rows[:, :len(A)], -rows[:, len(A):] * size
 
 
-def _least(known: Quotient, noise: NoiseModel, form: GainEquations) -> Fit | None:
+def _least(known: Quotient, noise: NoiseModel, form: GainEquations) -> Solutions | None:
     """Find the gains of least noise under ``gains M = target``, and the directions left free."""
     M, v = form.M, form.target
     if not (np.isfinite(M).all() and np.isfinite(form.W_).all()):
@@ -219,7 +219,7 @@ def _least(known: Quotient, noise: NoiseModel, form: GainEquations) -> Fit | Non
         variance = float(best @ gram @ best + 2 * linear @ best + constant)
     if not np.isfinite(variance):
         return None
-    return Fit(known, noise, form, best, free, max(variance, 0.0))
+    return Solutions(known, noise, form, best, free, max(variance, 0.0))
 
 
 def _noise_form(known: Quotient, noise: NoiseModel,

@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from vsensor_ros.designer.candidates import (
-    closed,
-    Contender,
     filters,
     Ground,
     grounds,
+    JudgedCandidate,
     of_family,
     of_spectra,
+    on_invariant_spaces,
     stacked,
     static,
     whole,
 )
-from vsensor_ros.designer.exact import Verdict
+from vsensor_ros.designer.exact import ExactVerdict
 from vsensor_ros.designer.existence import examine, Existence
 from vsensor_ros.designer.fixed_spectrum import MOST_MODES, SPARING
 from vsensor_ros.designer.invariant_spaces import lower_bound
@@ -51,11 +51,11 @@ LIVELY = 1.25  # where no rate is wanted, the fastest is taken at so much of the
 SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
 MOST_RUNGS = 12  # looked at, before the filter is taken instead
 
-_Rungs = dict[int, tuple[Contender, VirtualSensor]]
+_Rungs = dict[int, tuple[JudgedCandidate, VirtualSensor]]
 
 
-def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer: str,
-          decay: float | None, exact: Verdict | None) -> VirtualSensor | Refusal:
+def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int], prefer: str,
+                  decay: float | None, exact: ExactVerdict | None) -> VirtualSensor | Refusal:
     """
     Return the virtual sensor for a problem that has one, with its proof and its ladder.
 
@@ -78,21 +78,22 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
 
     reserve = [c for g in where for c in (*filters(g), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
-        reserve += [c for g in where for c in closed(g)]
+        reserve += [c for g in where for c in on_invariant_spaces(g)]
     if len(problem.V) > 1:
         reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
-    proofs, ascents = _ascent(base, freedom), [_ascent(g, None) for g in where]
+    proofs = _families_by_order(base, freedom)
+    of_grounds = [_families_by_order(g, None) for g in where]
     for k in range(max(g.known.order for g in where) + 1):
         here = [c for c in reserve if c.order == k]
         proof = next(proofs, None)
         if k == 0:
             here += static(where[0])
-        for ground, ascent in zip(where, ascents):
-            family = proof if ground.known is base.known else next(ascent, None)
+        for ground, of_ground in zip(where, of_grounds):
+            family = proof if ground.known is base.known else next(of_ground, None)
             if k and family is not None and family[0] is not None:
                 here += of_family(ground, family[0])
-        found = _stand(problem, where, here, enough, 1.0 if decay else LIVELY)
+        found = _quietest_built(problem, where, here, enough, 1.0 if decay else LIVELY)
         if found is None:
             step = _excluded(k, base, proof, bound)
         else:
@@ -108,9 +109,9 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
             break
     # no order was good enough: take the best there is
     if not rungs:
-        reserve += [c for g in where for c in closed(g)]
+        reserve += [c for g in where for c in on_invariant_spaces(g)]
     for k in sorted({c.order for c in reserve}):
-        found = _stand(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
+        found = _quietest_built(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
         if found is not None:
             rungs.setdefault(k, found)
     if not rungs:
@@ -125,7 +126,7 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
     existence = examine(problem)
     if existence.quotient is None:
         return None
-    found = climb(problem, existence, avoid, prefer, decay, None)
+    found = search_orders(problem, existence, avoid, prefer, decay, None)
     if isinstance(found, Refusal):
         return None
     return Candidate(found.Phi * problem.scale, found.N, found.J * problem.y0_size,
@@ -133,8 +134,8 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
                      found.Q * problem.y0_size / problem.v_size[:, None])
 
 
-def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
-            ) -> Iterator[tuple[Family | None, Gap]]:
+def _families_by_order(ground: Ground, freedom: Sequence[int | None] | None,
+                       ) -> Iterator[tuple[Family | None, Gap]]:
     """Yield for k = 0, 1, .. the family of order k or None, and the gap; one functional only."""
     if len(ground.known.v) > 1:
         return
@@ -144,22 +145,23 @@ def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
             yield family, gap
 
 
-def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], enough: float,
-           lively: float) -> tuple[Contender, VirtualSensor] | None:
+def _quietest_built(problem: Problem, where: list[Ground], candidates: list[JudgedCandidate],
+                    enough: float, lively: float,
+                    ) -> tuple[JudgedCandidate, VirtualSensor] | None:
     """
-    Build the quietest contender that is fast enough, or one nearly as good that reads less.
+    Build the quietest candidate that is fast enough, or one nearly as good that reads less.
 
-    With ``lively`` the fastest within so much of the least noise. Contenders that fail the check
+    With ``lively`` the fastest within so much of the least noise. Candidates that fail the check
     of their equations are left out.
     """
-    while contenders:
-        fast = _fast(contenders, enough)
+    while candidates:
+        fast = _fast(candidates, enough)
         limit = lively * min(c.error for c in fast)
         best = max((c for c in fast if c.error <= limit),
                    key=lambda c: (c.decay if lively > 1 else 0.0, -c.error))
         sensor = build(problem, best.candidate, best.method)
         if sensor is None:
-            contenders = [c for c in contenders if c is not best]
+            candidates = [c for c in candidates if c is not best]
             continue
         rivals = [c for c in fast if c is not best]
         if len(problem.V) == 1 and best.order:  # the same spectrum, with fewer sensors read
@@ -177,14 +179,14 @@ def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], e
     return None
 
 
-def _fast(contenders: list[Contender], enough: float) -> list[Contender]:
+def _fast(candidates: list[JudgedCandidate], enough: float) -> list[JudgedCandidate]:
     """Return those that decay fast enough or, if none does, nearly as fast as any."""
-    fastest = max(c.decay for c in contenders)
+    fastest = max(c.decay for c in candidates)
     least = enough * (1 - 1e-6) if fastest >= enough else SLUGGISH * fastest
-    return [c for c in contenders if c.decay >= least]
+    return [c for c in candidates if c.decay >= least]
 
 
-def _good(rungs: _Rungs, k: int, reserve: list[Contender], enough: float) -> bool:
+def _good(rungs: _Rungs, k: int, reserve: list[JudgedCandidate], enough: float) -> bool:
     """Whether rung k is fast and quiet enough to be taken, as far as is known."""
     rivals = [*(c for c, _ in rungs.values()), *reserve]
     fast = _fast(rivals, enough)
@@ -241,9 +243,9 @@ def _numbers(gap: Gap) -> tuple[float, float]:
 def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
             doubts: list[str], decay: float | None) -> VirtualSensor:
     """Return rung k with the proof, the ladder and its noise against the floor."""
-    contender, sensor = rungs[k]
-    if decay is not None and contender.decay < 0.99 * decay:
-        doubts = [*doubts, f'a decay rate of {decay:g} 1/s was wanted: {contender.decay:.3g} 1/s '
+    candidate, sensor = rungs[k]
+    if decay is not None and candidate.decay < 0.99 * decay:
+        doubts = [*doubts, f'a decay rate of {decay:g} 1/s was wanted: {candidate.decay:.3g} 1/s '
                   'is the fastest that was found at this order']
     upper = min(rungs)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
@@ -258,7 +260,7 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     floor = min([c.error for c, _ in rungs.values()] + (
         [float(np.sqrt(max(least, 0.0)))] if np.isfinite(least) else []))
     return replace(sensor, ladder=ladder,
-                   noise=Noise(contender.error, floor, base.noise.assumed),
+                   noise=Noise(candidate.error, floor, base.noise.assumed),
                    proof=Proof(lower, upper, tuple(steps),
                                tuple(dict.fromkeys(doubts))))
 
@@ -275,7 +277,7 @@ def _refusal(base: Ground, doubts: list[str]) -> Refusal:
         f'was found that {why}'), doubts=tuple(dict.fromkeys(doubts)))
 
 
-def doubtful(gap: Gap, what: str, exact: Verdict | None) -> list[str]:
+def doubtful(gap: Gap, what: str, exact: ExactVerdict | None) -> list[str]:
     """Say which rank decisions were ambiguous, and whether exact arithmetic settled them."""
     if not gap.doubtful:
         return []
