@@ -161,7 +161,7 @@ def _with_member(ground: Ground, family: Family, theta: np.ndarray) -> Solutions
 
 
 def _varied(ground: Ground, spectra: Iterable[Solutions | None]) -> list[JudgedCandidate]:
-    """Judge of each spectrum the quietest and one that reads little; others for their arguments."""
+    """Judge the quietest of each, one that reads little, and others for their arguments."""
     found = []
     for solved in spectra:
         if solved is None:

@@ -33,6 +33,7 @@ from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
+from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.stabilise import stable_members
 from vsensor_ros.designer.subspaces import Gap, in_row_space, RANK_TOLERANCE
 from vsensor_ros.functions.nonlinearity import set_valued
@@ -44,6 +45,7 @@ from vsensor_ros.observers.virtual_sensor import (
     Rung,
     VirtualSensor,
 )
+from vsensor_ros.reason import Reason
 
 QUIET = 2.0  # the least order is taken whose noise is within this factor of the best
 SLUGGISH = 0.5  # of the wanted decay rate: slower is taken only where nothing is faster
@@ -98,7 +100,7 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
             step = _excluded(k, base, proof, bound)
         else:
             rungs[k] = found
-            step = OrderStep(k, 'possible', f'found: {found[1].method}',
+            step = OrderStep(k, 'possible', say(Reason.of('found', method=found[1].method)),
                              len(proof[0].F) if proof and proof[0] else 0,
                              _numbers(proof[1] if proof else Gap()))
         steps.append(step)
@@ -214,26 +216,24 @@ def _first_order(known: Quotient) -> int:
 def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
               bound: int) -> OrderStep:
     """Say why there is no virtual sensor of order k, or that this is open."""
-    gap = _numbers(proof[1]) if proof else _numbers(Gap())
+    def step(verdict: str, why: Reason, freedom: int = 0) -> OrderStep:
+        return OrderStep(k, verdict, say(why), freedom, _numbers(proof[1] if proof else Gap()))
+
     if 0 < k < bound:
-        return OrderStep(k, 'impossible', 'what it must know besides the readings takes at '
-                         f'least {bound} states', 0, gap)
+        return step('impossible', Reason.of('too few states', least=bound))
     if k == 0 and not base.measured:
-        return OrderStep(k, 'impossible', 'no combination of the healthy readings equals it', 0,
-                         gap)
+        return step('impossible', Reason.of('no combination of readings'))
     if proof is None or k == 0:
-        return OrderStep(k, 'open', 'none was found', 0, gap)
-    if proof[0] is None:
-        return OrderStep(k, 'impossible', 'no characteristic polynomial of this degree satisfies '
-                         'the equations', 0, gap)
-    if k > MOST_MODES and len(proof[0].F):
-        return OrderStep(k, 'open', 'too large a polynomial to search for a stable one',
-                         len(proof[0].F), gap)
-    members, verdict = stable_members(proof[0], base.noise.sample_time, base.decay)
-    none = not members and verdict.startswith('none')
-    return OrderStep(k, 'impossible' if none else 'open',
-                     verdict.partition(': ')[2] or 'none found that passes all checks',
-                     len(proof[0].F), gap)
+        return step('open', Reason.of('none found'))
+    family = proof[0]
+    if family is None:
+        return step('impossible', Reason.of('no polynomial'))
+    if k > MOST_MODES and len(family.F):
+        return step('open', Reason.of('polynomial too large'), len(family.F))
+    none = stable_members(family, base.noise.sample_time, base.decay)[1]
+    if none is None:
+        return step('open', Reason.of('none passes'), len(family.F))
+    return step('impossible' if none.proved else 'open', none.why, len(family.F))
 
 
 def _numbers(gap: Gap) -> tuple[float, float]:
@@ -245,14 +245,15 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     """Return rung k with the proof, the ladder and its noise against the floor."""
     candidate, sensor = rungs[k]
     if decay is not None and candidate.decay < 0.99 * decay:
-        doubts = [*doubts, f'a decay rate of {decay:g} 1/s was wanted: {candidate.decay:.3g} 1/s '
-                  'is the fastest that was found at this order']
+        doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
+                                         found=candidate.decay))]
     upper = min(rungs)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)
     # with a polynomial p of one order there is (s + a) p of the next
     steps = [s if s.order >= lower or s.verdict == 'impossible' else replace(
-        s, verdict='impossible', why=f'order {lower - 1} is impossible') for s in steps]
+        s, verdict='impossible', why=say(Reason.of('impossible above', order=lower - 1)))
+        for s in steps]
     steps = [s for s in steps if s.order < lower or s.verdict != 'impossible']
     ladder = tuple(Rung(order, c.error, v.noise_gain, c.decay, v.method)
                    for order, (c, v) in sorted(rungs.items()))
@@ -267,20 +268,15 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
 
 def _refusal(base: Ground, doubts: list[str]) -> Refusal:
     problem = base.problem
-    terms = ', '.join(t.name for t in problem.plant.terms)
-    why = ('passes the check of its equations: the plant is ill-conditioned' if not terms else
-           f'is stable together with {terms}')
-    if any(set_valued(term) for term in problem.plant.terms):
-        why += ' (a sign that drives its own argument away from zero leaves two branches apart)'
-    return Refusal(problem.channel, problem.fault_set, (
-        f'the linear equations allow a virtual sensor of order up to {base.known.order}, but none '
-        f'was found that {why}'), doubts=tuple(dict.fromkeys(doubts)))
+    terms = problem.plant.terms
+    return Refusal(problem.channel, problem.fault_set, say(Reason.of(
+        'none stable', order=base.known.order, terms=tuple(term.name for term in terms),
+        signs=any(set_valued(term) for term in terms))), doubts=tuple(dict.fromkeys(doubts)))
 
 
 def doubtful(gap: Gap, what: str, exact: ExactVerdict | None) -> list[str]:
     """Say which rank decisions were ambiguous, and whether exact arithmetic settled them."""
     if not gap.doubtful:
         return []
-    settled = '; exact arithmetic on the decimals as given decided' if exact else ''
-    return [f'{what}: relative singular values of {gap.zero:.1e} were taken for zero and of '
-            f'{gap.nonzero:.1e} not, the limit is {RANK_TOLERANCE:g}{settled}']
+    return [say(Reason.of('ambiguous ranks', what=what, zero=gap.zero, nonzero=gap.nonzero,
+                          limit=RANK_TOLERANCE, settled=exact is not None))]
