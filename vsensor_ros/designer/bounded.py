@@ -28,8 +28,8 @@ def least_sensitive(problem: Problem, prefer: str, decay: float | None,
     Return the virtual sensor that unknown inputs disturb least; None where none is stable.
 
     For a problem that has no decoupled one. ``prefer``: 'quiet' takes the least order that is
-    disturbed within WORTH of the least, 'least' the least order there is. Of several rows of a
-    functional those that can be decoupled are (method 2, Composition).
+    disturbed within WORTH of the least, 'least' the least order there is. Of a functional with
+    several rows, every row that can be decoupled is decoupled (method 2, Composition).
     """
     relaxed = relax(problem)
     if relaxed is None:

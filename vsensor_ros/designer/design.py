@@ -170,7 +170,7 @@ def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | R
             return replace(
                 entry, fault_set=problem.fault_set,
                 reason=say(Reason.of('already without', fault_set=fewer, reason=entry.reason)),
-                # that of fewer faults read more sensors
+                # not the alternative of fewer faults: it may read a sensor that has failed now
                 alternative=alternative(problem) if entry.alternative else '')
     return None
 

@@ -208,8 +208,8 @@ def conditioned_invariant(A: np.ndarray, C0: np.ndarray, D: np.ndarray,
     """
     Return T*, the least T with Im D in T and A (T with C0 x = 0) in T, as columns (n, t).
 
-    Source: method 3.1. Each vector of T enters once, as a row [C0 x, x]: a basis whose pivots
-    come as early as can be tells those with C0 x = 0, which A carries on.
+    Source: method 3.1. Each vector of T enters once, as a row [C0 x, x]. In a basis whose pivots
+    come as early as possible the vectors with C0 x = 0 show by their pivot; A carries them on.
     """
     l0, new = len(C0), D.T
     found = _nothing(l0 + len(A), prime)

@@ -1,9 +1,10 @@
 """
 The quietest virtual sensor with a given characteristic polynomial.
 
-With N given, all rows W that satisfy ``W A = N W + j E`` are affine in free gains, v asks for
-linear equations of them, and the noise is a quadratic form: least squares. N is modal (S (19) and
-R (14) in the quotient, all solutions kept) or, where roots repeat, of Hessenberg form.
+With N given, all rows W that satisfy ``W A = N W + j E`` are affine in free gains. To give v,
+these gains must satisfy linear equations; the noise is quadratic in them. The quietest virtual
+sensor is therefore a least-squares solution. N is modal (S (19) and R (14) in the quotient, all
+solutions kept) or, where roots repeat, a Hessenberg matrix.
 """
 
 from __future__ import annotations

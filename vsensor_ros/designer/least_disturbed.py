@@ -83,7 +83,7 @@ def _candidates(relaxed: Relaxed, ground: Ground) -> list[JudgedCandidate]:
 
 def _built(relaxed: Relaxed, pool: list[tuple[float, JudgedCandidate]],
            ) -> tuple[JudgedCandidate, VirtualSensor] | None:
-    """Build the quietest of those that are disturbed least."""
+    """Build the quietest of the candidates that are disturbed least, or None."""
     while pool:
         least = min(gain for gain, _ in pool)
         best = min((f for f in pool if f[0] <= ALIKE * least), key=lambda f: f[1].error)

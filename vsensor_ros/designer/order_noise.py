@@ -153,8 +153,8 @@ def _quietest_built(problem: Problem, where: list[Ground], candidates: list[Judg
     """
     Build the quietest candidate that is fast enough, or one nearly as good that reads less.
 
-    With ``lively`` the fastest within so much of the least noise. Candidates that fail the check
-    of their equations are left out.
+    ``lively`` above 1: the fastest whose noise is within this factor of the least. Candidates
+    that fail the check of their equations are left out.
     """
     while candidates:
         fast = _fast(candidates, enough)
@@ -182,7 +182,7 @@ def _quietest_built(problem: Problem, where: list[Ground], candidates: list[Judg
 
 
 def _fast(candidates: list[JudgedCandidate], enough: float) -> list[JudgedCandidate]:
-    """Return those that decay fast enough or, if none does, nearly as fast as any."""
+    """Return the candidates that decay fast enough; if none does, the fastest and near ones."""
     fastest = max(c.decay for c in candidates)
     least = enough * (1 - 1e-6) if fastest >= enough else SLUGGISH * fastest
     return [c for c in candidates if c.decay >= least]

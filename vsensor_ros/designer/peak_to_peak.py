@@ -13,9 +13,11 @@ def peak_bound(error: ErrorSystem, L: np.ndarray, rate: float) -> float:
     """
     Bound |v - vhat| for readings off by 1 at most, through peak gains of the centred system.
 
-    L, rate: a form that N alone was checked with. What a bounded slope adds is an input of at
-    most radius * peak of what it sees, g e - h n; these peaks bound each other, and the bounds
-    close when the matrix of their gains has spectral radius below 1. Exact for a linear error.
+    L, rate: a form that was checked for N alone. A bounded slope acts like one more input: its
+    size is at most the radius times the peak of the argument g e - h n. Each argument's peak is
+    bounded by the peaks of all inputs, these among them. The bounds hold together when the matrix
+    of the gains from one argument to another has spectral radius below 1. Exact for a linear
+    error.
     """
     seen = error.bounded
     if error.loose.radius.size or error.rising.radius.size:

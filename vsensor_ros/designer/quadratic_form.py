@@ -32,11 +32,11 @@ def falling_rate(error: ErrorSystem, L: np.ndarray, t: np.ndarray | None = None)
     """
     Return the rate [1/s] at which V = |L' e|^2 is certain to fall, or -inf.
 
-    All corners of the bounded slopes are tried up to MOST_CORNERS of them; beyond, the
-    S-procedure with multipliers t (chosen here when None). Slopes that rise without bound need
-    S p = -t g' with t >= 0: then the form falls by 2 t s (g e)^2 on their account. S is taken
-    from the solutions of that equation, and a form that solves it exactly lies within rounding
-    of S. The margin is the rounding of the product L' N L'^-1, from the moduli of its factors.
+    Up to MOST_CORNERS bounded slopes every corner of their box is tried. More slopes are judged
+    by the S-procedure with multipliers t (chosen here when None). A slope s that rises without
+    bound needs S p = -t g' with t >= 0; it then makes the form fall by a further 2 t s (g e)^2.
+    S solves that equation only up to rounding, for which a margin is kept; so is one for the
+    rounding of the product L' N L'^-1, computed from the moduli of its factors.
     """
     if not np.all(np.isfinite(L)) or np.any(np.diag(L) == 0) or error.loose.feeding.radius.size:
         return -np.inf
@@ -97,11 +97,15 @@ def bound_on(error: ErrorSystem, L: np.ndarray, rate: float) -> float:
     """
     Bound |v - vhat| for readings off by 1 at most, from a checked form V = |L' e|^2.
 
-    |L' e| <= gain * sup |L' push|. A slope without upper bound whose argument reads the readings
-    wrongly by at most d = |h|_1 can hold e at a distance along p, but no further than W p: V is
-    then replaced by the squared distance of e from the points P w, |w_j| <= W_j, whose gradient
-    2 S e_d satisfies (g_j e_d) (g_j e - h_j n) >= 0 if (p_j' S p_j) W_j - sum_l |p_j' S p_l| W_l
-    >= t_j d_j, and what is left to push is A P w. Infinite where there are no such W.
+    Everything that pushes e from outside gives |L' e| <= gain * sup |L' push|.
+
+    A slope without upper bound needs more care. Its argument is wrong by up to d = |h|_1, because
+    readings enter it. It can therefore hold e away from 0, along p, but no further than W p. So V
+    is replaced by the squared distance of e from the points P w with |w_j| <= W_j. Let e_d be the
+    difference to the nearest of them. The gradient 2 S e_d satisfies
+    (g_j e_d) (g_j e - h_j n) >= 0, and the slope does no harm, if
+    (p_j' S p_j) W_j - sum_{l != j} |p_j' S p_l| W_l >= t_j d_j. What is left to push is A P w.
+    The bound is infinite where there are no such W.
     """
     rising, fed = error.rising, error.bounded
     if error.loose.radius.size or not np.all(rising.g.any(axis=1)):
@@ -128,7 +132,8 @@ def _held(L: np.ndarray, rising: Slopes) -> np.ndarray | None:
     """
     Return the columns W_j p_j (k, c) of bound_on, parallel p taken together; None without any W.
 
-    The W are those of the comparison matrix of p' S p, which must be an M-matrix.
+    The W solve the conditions of bound_on, written with the comparison matrix of p' S p; that
+    matrix must be an M-matrix.
     """
     ways: list[np.ndarray] = []
     least: list[float] = []

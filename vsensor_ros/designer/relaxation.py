@@ -57,9 +57,10 @@ class Disturbed(NoiseModel):
 
     def variance(self, N: np.ndarray, B: np.ndarray, Cv: np.ndarray, Q: np.ndarray) -> float:
         """
-        Return what is to be small: with unknown inputs in B not the noise but their gain, squared.
+        Return what a search is to make small.
 
-        Noise beyond the limit counts as if it were disturbance.
+        Where B holds the unknown inputs besides the noise (see ``drives``) this is the square of
+        their gain, made larger where the noise is beyond the limit; else it is the noise.
         """
         noisy = len(self.process) + len(self.reading)
         if B.shape[1] == noisy:
@@ -118,9 +119,10 @@ def relax(problem: Problem) -> Relaxed | None:
     """
     Give up decoupling from as few unknown inputs as leave a stable virtual sensor.
 
-    They are decoupled one after the other, the one that would disturb most first, each if it can
-    be together with those before, and if the others do not disturb much more for it. None when
-    none exists even without decoupling.
+    The unknown inputs are tried one after the other, beginning with the one that would disturb
+    most. One is decoupled if that is possible together with all that are decoupled already, and
+    if the rest disturb not much more for it. None when no virtual sensor is stable even without
+    decoupling.
     """
     plant = problem.plant
     several = range(len(plant.disturbances))
@@ -193,7 +195,8 @@ def swept(relaxed: Relaxed, ground: Ground, floor: float | None,
     """
     Return Kalman filters for unknown inputs of growing intensity, up to the noise limit.
 
-    ``floor``: the noise that the limit is a multiple of; by default that of the quietest.
+    ``floor``: noise of the quietest filter, of which the limit is a multiple; by default the
+    least noise of the filters found here.
     """
     found: list[tuple[Disturbed, JudgedCandidate]] = []
 
