@@ -2,6 +2,8 @@
 
 import math
 from pathlib import Path
+import subprocess
+import sys
 
 from hypothesis import given, strategies as st
 import numpy as np
@@ -50,6 +52,23 @@ def test_an_entry_is_whole(name):
     assert value[0] <= at <= value[1]
     assert (entry.outside is None) == (entry.continuation == '')
     assert (entry.precedence is None) == (name in CATALOGUE)
+
+
+def test_the_entries_need_numpy_alone():
+    """The machine loads them at every start."""
+    rooms = sorted(path.stem for path in (DOCS.parents[1] / 'vsensor_ros/functions').glob('*.py'))
+    code = f"""
+import importlib, sys
+import numpy
+before = set(sys.modules)
+for name in {[name for name in rooms if name != '__init__']}:
+    importlib.import_module('vsensor_ros.functions.' + name)
+loaded = {{name.split('.')[0] for name in sys.modules.keys() - before}}
+print(sorted(loaded - {{'vsensor_ros', 'numpy'}} - sys.stdlib_module_names))
+"""
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                          timeout=120)
+    assert done.stdout == '[]\n', done.stdout + done.stderr
 
 
 @pytest.mark.parametrize('name', [n for n, f in ENTRIES.items() if f.resolvent])

@@ -44,7 +44,8 @@ class Function:
     continuation: str = ''  # outside of the domain
     # A function that jumps at 0 takes any value of the jump there (dry friction at rest). The
     # resolvent (s, a) solves y in f(s - a y) for y, elementwise, a > 0: the value with which the
-    # function, pushing back its own argument, comes to rest. None: it does not jump.
+    # function, pushing back its own argument, comes to rest. None: it does not jump. The step of
+    # the bank and the simulation are written for the one such function there is, sign.
     resolvent: Callable[[Any, Any], Any] | None = None
     precedence: int | None = None  # of an operator, the larger binds tighter; None: f(x, ..)
 

@@ -390,5 +390,5 @@ def _reading() -> str:
          'does not feel them, a bounded one does, by the gain stated'),
         ('in doubt', 'a decision on a rank so close that a small error of the model turns it'),
         ('pictures', "simulated without sensor noise; the replacer's own arithmetic beside the "
-         'true plant'),
+         'true plant, which is held by its commands where it is unstable by itself'),
     ])
