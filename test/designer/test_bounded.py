@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from vsensor_ros import Design, design, load_plant, Plant
-from vsensor_ros.designer.bounded import ALIKE, EXACT, NOISE_FACTOR, singular, WORTH
 from vsensor_ros.designer.existence import examine
+from vsensor_ros.designer.least_disturbed import ALIKE, WORTH
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.observer import Candidate
 from vsensor_ros.designer.problem import pose
+from vsensor_ros.designer.relaxation import EXACT, NOISE_FACTOR
+from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.functions.nonlinearity import evaluate
 from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
 from vsensor_ros.simulate import simulate

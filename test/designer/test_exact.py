@@ -183,7 +183,7 @@ def test_a_chain_of_integrators_has_the_orders_of_its_closed_form():
 def test_without_healthy_sensors_only_a_copy_of_the_plant_is_left():
     A = np.diag([-1.0, -2.0, -3.0])
     answer = exact.verdict(A, np.zeros((0, 3)), np.array([[1.0, 1.0, 0.0]]), np.zeros((3, 0)))
-    assert answer == exact.Verdict(frozenset(), (True,), 3, 3, ((None, None, 0, 1),))
+    assert answer == exact.ExactVerdict(frozenset(), (True,), 3, 3, ((None, None, 0, 1),))
     disturbed = exact.verdict(A, np.zeros((0, 3)), np.eye(3)[:2], np.eye(3)[:, :1])
     assert disturbed.solvable == (False, True) and disturbed.freedom[0] == ()
 

@@ -229,8 +229,9 @@ def test_what_there_is_to_see(monkeypatch):
     assert text.count('It has no state that could start wrong.') == 2 and '<svg' not in text
     growing = Plant.from_matrices([[0.5, 1], [0, 0.3]], None, np.eye(2))
     truth = np.array([0.0, 12345.0])
-    monkeypatch.setattr(report_simulation, 'from_wrong_start', lambda *_: report_simulation.Run(
-        np.array([0.0, 2.0]), truth, truth - [1.0, 0.5], np.zeros((2, 0)), truth))
+    run = report_simulation.SimulatedRun(
+        np.array([0.0, 2.0]), truth, truth - [1.0, 0.5], np.zeros((2, 0)), truth)
+    monkeypatch.setattr(report_simulation, 'from_wrong_start', lambda *_: run)
     assert ('the error goes from 1 to 0.5 in 2 s, while the truth runs away to 1.23e+04.'
             in page(growing, design(growing)))
 

@@ -18,7 +18,13 @@ from scipy.optimize import minimize
 
 from vsensor_ros.designer import invariant_spaces
 from vsensor_ros.designer.existence import examine, Existence
-from vsensor_ros.designer.fixed_spectrum import Fit, fit, fit_hessenberg, MOST_MODES, repeated
+from vsensor_ros.designer.fixed_spectrum import (
+    MOST_MODES,
+    repeated,
+    Solutions,
+    with_polynomial,
+    with_spectrum,
+)
 from vsensor_ros.designer.noise import Filter, kalman, mean_rate, NoiseModel
 from vsensor_ros.designer.observer import acting, Candidate, knows_arguments
 from vsensor_ros.designer.order import Family
@@ -32,7 +38,7 @@ MEMBERS = 3  # of a family without free spectrum
 QUIETED_FREEDOM = 8  # such a family of so few coefficients is searched for the quietest
 QUIETED_ORDER = 60  # in plants of so few states
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
-CLOSURES = 8  # closed subspaces tried
+MOST_SPACES = 8  # invariant spaces tried
 LARGEST_CLOSED = 100  # in plants of so many states
 TRIES = 8  # random members of a family, where arguments must be known
 
@@ -59,7 +65,7 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
-class Contender:
+class JudgedCandidate:
     """A candidate with its noise and decay."""
 
     candidate: Candidate
@@ -96,7 +102,7 @@ def _arguments(problem: Problem, known: Quotient) -> np.ndarray:
     return np.vstack([np.zeros((0, known.order)), *(row for row in rows if row is not None)])
 
 
-def judged(ground: Ground, candidates: Iterable[Candidate], method: str) -> list[Contender]:
+def judged(ground: Ground, candidates: Iterable[Candidate], method: str) -> list[JudgedCandidate]:
     """Judge the stable candidates that know the arguments of their terms."""
     found = []
     for candidate in candidates:
@@ -106,17 +112,17 @@ def judged(ground: Ground, candidates: Iterable[Candidate], method: str) -> list
         if decay > 0 and knows_arguments(ground.problem, candidate.Phi):
             error = ground.noise.error(ground.problem, candidate)
             if np.isfinite(error):
-                found.append(Contender(candidate, method, error, decay))
+                found.append(JudgedCandidate(candidate, method, error, decay))
     return found
 
 
-def static(ground: Ground) -> list[Contender]:
+def static(ground: Ground) -> list[JudgedCandidate]:
     """Return the combination of healthy readings that gives v."""
     known = ground.known
     if not ground.measured:
         return []
     if len(known.v) == 1:
-        found = fit(known, ground.noise, np.zeros(0))
+        found = with_spectrum(known, ground.noise, np.zeros(0))
         return judged(ground, [found.candidate(found.sparing())] if found else [], 'static')
     g = solve_left(known.E, known.v)
     return judged(ground, [Candidate(
@@ -124,7 +130,7 @@ def static(ground: Ground) -> list[Contender]:
         np.zeros((0, known.R.shape[1])), np.zeros((len(g), 0)), g @ known.R + known.q)], 'static')
 
 
-def of_family(ground: Ground, family: Family) -> list[Contender]:
+def of_family(ground: Ground, family: Family) -> list[JudgedCandidate]:
     """Return virtual sensors whose characteristic polynomial is in a family."""
     k, f = len(family.M), len(family.F)
     if k > MOST_MODES:
@@ -139,57 +145,58 @@ def of_family(ground: Ground, family: Family) -> list[Contender]:
     members = stable_members(family, ground.noise.sample_time, ground.decay)[0][:MEMBERS]
     if members and 0 < f <= QUIETED_FREEDOM and ground.known.order <= QUIETED_ORDER:
         members.append(_quieted(ground, family, members))
-    return _varied(ground, [_fitted(ground, family, theta) for theta in members])
+    return _varied(ground, [_with_member(ground, family, theta) for theta in members])
 
 
-def of_spectra(ground: Ground, spectra: Iterable[np.ndarray]) -> list[Contender]:
+def of_spectra(ground: Ground, spectra: Iterable[np.ndarray]) -> list[JudgedCandidate]:
     """Return the quietest virtual sensor of one functional for each spectrum."""
-    return _varied(ground, [fit(ground.known, ground.noise, s) for s in spectra
+    return _varied(ground, [with_spectrum(ground.known, ground.noise, s) for s in spectra
                             if not repeated(s)])
 
 
-def _fitted(ground: Ground, family: Family, theta: np.ndarray) -> Fit | None:
+def _with_member(ground: Ground, family: Family, theta: np.ndarray) -> Solutions | None:
     roots = family.roots(theta)
-    fitted = None if repeated(roots) else fit(ground.known, ground.noise, roots)
-    return fitted or fit_hessenberg(ground.known, ground.noise, family.member(theta))
+    solved = None if repeated(roots) else with_spectrum(ground.known, ground.noise, roots)
+    return solved or with_polynomial(ground.known, ground.noise, family.member(theta))
 
 
-def _varied(ground: Ground, fits: Iterable[Fit | None]) -> list[Contender]:
-    """Judge the quietest of each fit and one that reads little; others for their arguments."""
+def _varied(ground: Ground, spectra: Iterable[Solutions | None]) -> list[JudgedCandidate]:
+    """Judge the quietest of each, one that reads little, and others for their arguments."""
     found = []
-    for fitted in fits:
-        if fitted is None:
+    for solved in spectra:
+        if solved is None:
             continue
-        candidates = [fitted.candidate(fitted.sparing()), fitted.candidate(fitted.best)]
+        candidates = [solved.candidate(solved.sparing()), solved.candidate(solved.best)]
         rng = np.random.default_rng(0)
-        if not any(knows_arguments(ground.problem, c.Phi) for c in candidates) and len(fitted.Z):
-            candidates += [fitted.candidate(
-                fitted.best + 10 * rng.normal(size=len(fitted.Z)) @ fitted.Z)
+        if not any(knows_arguments(ground.problem, c.Phi) for c in candidates) and len(solved.Z):
+            candidates += [solved.candidate(
+                solved.best + 10 * rng.normal(size=len(solved.Z)) @ solved.Z)
                 for _ in range(TRIES)]
         found += judged(ground, candidates, 'modal')
     return found
 
 
-def closed(ground: Ground) -> list[Contender]:
-    """Return virtual sensors on closed subspaces that hold v and the arguments of terms."""
+def on_invariant_spaces(ground: Ground) -> list[JudgedCandidate]:
+    """Return virtual sensors on invariant spaces that hold v and the arguments of terms."""
     known, found = ground.known, whole(ground)
     for rows in ([known.v] if not len(ground.terms)
                  else [known.v, np.vstack([known.v, ground.terms])]):
-        tried = CLOSURES if known.order <= LARGEST_CLOSED else 0
-        for _, closed_space in zip(range(tried), invariant_spaces.closures(known, rows)):
+        tried = MOST_SPACES if known.order <= LARGEST_CLOSED else 0
+        for _, space in zip(range(tried), invariant_spaces.spaces(known, rows)):
             found += judged(ground, invariant_spaces.candidates(
-                known, ground.noise, closed_space, ground.decay), 'closed subspace')
+                known, ground.noise, space, ground.decay), 'closed subspace')
     return found
 
 
-def whole(ground: Ground) -> list[Contender]:
+def whole(ground: Ground) -> list[JudgedCandidate]:
     """Return observers of everything known but the readings: they exist whenever any does."""
-    return judged(ground, invariant_spaces.candidates(ground.known, ground.noise,
-                                             invariant_spaces.whole(ground.known), ground.decay,
-                                             polish=False), 'reduced observer')
+    return judged(ground, invariant_spaces.candidates(
+        ground.known, ground.noise, invariant_spaces.whole(ground.known), ground.decay,
+        polish=False), 'reduced observer')
 
 
-def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None]) -> list[Contender]:
+def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None],
+            ) -> list[JudgedCandidate]:
     """Return the observers of single rows of v side by side, each found by ``of_row``."""
     problem, parts = ground.problem, []
     for i in range(len(problem.V)):
@@ -207,9 +214,9 @@ def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None]) -> li
         np.vstack([p.Q for p in parts]))], 'single observers side by side')
 
 
-def filters(ground: Ground) -> list[Contender]:
+def filters(ground: Ground) -> list[JudgedCandidate]:
     """Return the Kalman filter, and the quietest that decays as wanted."""
-    found: list[Contender] = []
+    found: list[JudgedCandidate] = []
     for filter_ in (ground.filter, None):
         if filter_ is None:
             if found and found[0].decay >= ground.decay:
@@ -227,11 +234,11 @@ def _quieted(ground: Ground, family: Family, members: list[np.ndarray]) -> np.nd
 
     def cost(theta: np.ndarray) -> float:
         decay = decay_of(family.roots(theta), h)
-        fitted = _fitted(ground, family, theta) if decay > 0 else None
-        if fitted is None or fitted.variance <= 0:
+        solved = _with_member(ground, family, theta) if decay > 0 else None
+        if solved is None or solved.variance <= 0:
             return 1e3
         slow = max(1.0, ground.decay / decay)
-        return float(0.5 * np.log(fitted.variance) + 2.0 * np.log(slow))
+        return float(0.5 * np.log(solved.variance) + 2.0 * np.log(slow))
 
     start = min(members, key=cost)
     steps = np.eye(len(start)) * 0.1 * max(float(np.linalg.norm(start)),

@@ -19,18 +19,10 @@ from itertools import product
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov, solve_triangular
 
-from vsensor_ros.designer.quadratic import (
-    decay_rate,
-    ErrorSystem,
-    Form,
-    LARGEST_ORDER,
-    lyapunov,
-    MOST_CORNERS,
-    peak_bound,
-    ROUNDING,
-    search,
-    Slopes,
-)
+from vsensor_ros.designer.error_system import decay_rate, ErrorSystem, Slopes
+from vsensor_ros.designer.form_search import LARGEST_ORDER, lyapunov, search
+from vsensor_ros.designer.peak_to_peak import peak_bound
+from vsensor_ros.designer.quadratic_form import Form, MOST_CORNERS, ROUNDING
 from vsensor_ros.designer.slopes import Interval, jumps, slope_bounds_on
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.functions.expression import names, parse, to_text

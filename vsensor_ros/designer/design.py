@@ -14,21 +14,24 @@ from scipy.linalg import LinAlgWarning
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
-from vsensor_ros.designer.bounded import alternative, least_sensitive, singular
+from vsensor_ros.designer.bounded import alternative, least_sensitive
 from vsensor_ros.designer.certificate import certify
-from vsensor_ros.designer.exact import Verdict, verdict
+from vsensor_ros.designer.exact import ExactVerdict, verdict
 from vsensor_ros.designer.existence import (
     avoidable_signs,
     disturbed,
     examine,
     measured_signs,
 )
-from vsensor_ros.designer.order_noise import climb, doubtful
+from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.problem import pose, Problem
+from vsensor_ros.designer.sentences import say
+from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
 from vsensor_ros.functions.expression import check_name
 from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
+from vsensor_ros.reason import Reason
 
 PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s
@@ -163,13 +166,11 @@ def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | R
     for (fewer, of), entry in entries.items():
         if of == problem.channel and isinstance(entry, Refusal) \
                 and set(fewer) < set(problem.fault_set):
-            without = ' and '.join(fewer) or 'no sensor'
-            reason = entry.reason.partition('already when ')[2]
+            # this one was lost by itself: what it would follow from stands before it
             return replace(
                 entry, fault_set=problem.fault_set,
-                reason=(f'already when {reason}' if reason else
-                        f'already when {without} alone has failed: {entry.reason}'),
-                # that of fewer faults read more sensors
+                reason=say(Reason.of('already without', fault_set=fewer, reason=entry.reason)),
+                # not the alternative of fewer faults: it may read a sensor that has failed now
                 alternative=alternative(problem) if entry.alternative else '')
     return None
 
@@ -202,13 +203,12 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
     obstruction = existence.obstruction
     if exact and obstruction is None and not all(exact.solvable):
         obstruction = disturbed(problem, existence.forced)
-        doubts.append('exact arithmetic on the decimals as given decided that there is none: in '
-                      'double precision one seems to exist')
+        doubts.append(say(Reason.of('exact: there is none')))
     elif exact and obstruction is not None and not existence.hidden and all(exact.solvable):
-        doubts = ['exact arithmetic on the decimals as given says that a decoupled one exists: '
-                  'in double precision it cannot be told from none']
+        doubts = [say(Reason.of('exact: one exists'))]
     if obstruction is not None:
-        refusal = Refusal(problem.channel, problem.fault_set, obstruction, doubts=tuple(doubts))
+        refusal = Refusal(problem.channel, problem.fault_set, say(obstruction),
+                          doubts=tuple(doubts))
         if not bounded:
             return replace(refusal, alternative=alternative(problem))
         return certified(problem, singular(problem) if method == 'svd' else (
@@ -216,13 +216,14 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
     if exact and exact.forced != existence.forced:
         exact = None
     signs = avoidable_signs(problem)
-    found = (climb(problem, existence, signs, prefer, decay, exact) if method is None
+    found = (search_orders(problem, existence, signs, prefer, decay, exact) if method is None
              else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
                                      else 'identification'))
     risky = measured_signs(problem)
     if isinstance(found, VirtualSensor) and risky & set(found.active):
-        names = ', '.join(problem.plant.terms[i].name for i in sorted(risky))
-        found = replace(found, method=f'{found.method}; at rest unsure of {names}')
+        unsure = Reason.of('unsure at rest',
+                           terms=tuple(problem.plant.terms[i].name for i in sorted(risky)))
+        found = replace(found, method=f'{found.method}; {say(unsure)}')
     return certified(problem, found)
 
 
@@ -233,7 +234,7 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     return entry
 
 
-def referee(problem: Problem) -> Verdict | None:
+def referee(problem: Problem) -> ExactVerdict | None:
     """Ask exact arithmetic about a problem; None when its numbers are no typed decimals."""
     plant = problem.plant
     rows = [plant.sensors.index(s) for s in problem.healthy]

@@ -208,8 +208,8 @@ def conditioned_invariant(A: np.ndarray, C0: np.ndarray, D: np.ndarray,
     """
     Return T*, the least T with Im D in T and A (T with C0 x = 0) in T, as columns (n, t).
 
-    Source: method 3.1. Each vector of T enters once, as a row [C0 x, x]: a basis whose pivots
-    come as early as can be tells those with C0 x = 0, which A carries on.
+    Source: method 3.1. Each vector of T enters once, as a row [C0 x, x]. In a basis whose pivots
+    come as early as possible the vectors with C0 x = 0 show by their pivot; A carries them on.
     """
     l0, new = len(C0), D.T
     found = _nothing(l0 + len(A), prime)
@@ -222,7 +222,7 @@ def conditioned_invariant(A: np.ndarray, C0: np.ndarray, D: np.ndarray,
 
 
 @dataclass(frozen=True, eq=False)
-class Quotient:
+class DecoupledObserver:
     """
     The largest decoupled observer Phi* = ann(T*), and the functionals in its coordinates.
 
@@ -242,19 +242,19 @@ class Quotient:
         return rest[:, t:][:, self.free], (rest[:, :t] == 0).all(axis=1)
 
 
-def quotient(problem: Residues, T: np.ndarray) -> Quotient:
+def quotient(problem: Residues, T: np.ndarray) -> DecoupledObserver:
     """Take the plant modulo T*, (n, t) columns of ``conditioned_invariant``."""
     prime, t = problem.prime, T.shape[1]
     Phi, free = _kernel(basis(T.T, prime))
     known = basis(np.hstack([product(problem.C0, T, prime), problem.C0]), prime)
     E = known.rows[known.pivots >= t][:, t:][:, free]
-    result = Quotient(T, known, free, np.zeros((0, 0), np.int64), E)
+    result = DecoupledObserver(T, known, free, np.zeros((0, 0), np.int64), E)
     N, _ = result.coordinates(product(Phi.T, problem.A, prime))
-    return Quotient(T, known, free, N, E)
+    return DecoupledObserver(T, known, free, N, E)
 
 
 def forced_closure(problem: Residues, forced: frozenset[int] = frozenset(),
-                   ) -> tuple[frozenset[int], Quotient]:
+                   ) -> tuple[frozenset[int], DecoupledObserver]:
     """
     Return the nonlinear terms that must be decoupled and the quotient by the T* this leads to.
 
@@ -271,13 +271,13 @@ def forced_closure(problem: Residues, forced: frozenset[int] = frozenset(),
         forced = grown
 
 
-def solvable(problem: Residues, observer: Quotient) -> tuple[bool, ...]:
+def solvable(problem: Residues, observer: DecoupledObserver) -> tuple[bool, ...]:
     """Whether (E1) to (E3) have a solution, for each row of V. Source: method 3.1."""
     return tuple(bool(inside) and direct for inside, direct
                  in zip(observer.coordinates(problem.V)[1], problem.direct))
 
 
-def fixed_dimension(observer: Quotient) -> int:
+def fixed_dimension(observer: DecoupledObserver) -> int:
     """Count the modes of the largest decoupled observer that no injection moves (method 3.3)."""
     prime = observer.known.prime
     seen = basis(observer.E, prime)
@@ -289,7 +289,7 @@ def fixed_dimension(observer: Quotient) -> int:
     return len(observer.N) - len(seen)
 
 
-def polynomial_freedom(v: np.ndarray, observer: Quotient,
+def polynomial_freedom(v: np.ndarray, observer: DecoupledObserver,
                        k_max: int | None = None) -> tuple[int | None, ...]:
     """
     Count, for k = 0, 1, .., the free coefficients of the characteristic polynomial of order k.
@@ -322,7 +322,7 @@ def polynomial_freedom(v: np.ndarray, observer: Quotient,
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ExactVerdict:
     """What exact arithmetic says of a problem."""
 
     forced: frozenset[int]  # nonlinear terms that must be decoupled
@@ -335,7 +335,7 @@ class Verdict:
 def verdict(A: np.ndarray, C0: np.ndarray, V: np.ndarray, D: np.ndarray, *,
             Cd0: np.ndarray | None = None, Vd: np.ndarray | None = None,
             P: np.ndarray | None = None, G: Sequence[np.ndarray] = (),
-            forced: frozenset[int] = frozenset(), k_max: int | None = None) -> Verdict | None:
+            forced: frozenset[int] = frozenset(), k_max: int | None = None) -> ExactVerdict | None:
     """
     Decide existence, fixed modes and orders exactly; None when the data do not allow it.
 
@@ -344,13 +344,13 @@ def verdict(A: np.ndarray, C0: np.ndarray, V: np.ndarray, D: np.ndarray, *,
     """
     if not short_decimals(*(M for M in (A, C0, V, D, Cd0, Vd, P, *G) if M is not None)):
         return None
-    said: list[Verdict] = []
+    said: list[ExactVerdict] = []
     for prime in PRIMES:
         problem = residues(A, C0, V, D, prime, Cd0=Cd0, Vd=Vd, P=P, G=G)
         closed, observer = forced_closure(problem, forced)
         passes = solvable(problem, observer)
         v = observer.coordinates(problem.V)[0]
-        answer = Verdict(
+        answer = ExactVerdict(
             closed, passes, len(observer.N), fixed_dimension(observer),
             tuple(polynomial_freedom(v[i:i + 1], observer, k_max) if passes[i] else ()
                   for i in range(len(v))))

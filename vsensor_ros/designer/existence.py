@@ -24,6 +24,7 @@ from vsensor_ros.designer.subspaces import (
     unobservable,
 )
 from vsensor_ros.functions.nonlinearity import set_valued
+from vsensor_ros.reason import Reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +33,13 @@ class Existence:
 
     forced: frozenset[int]  # nonlinear terms that any virtual sensor must be decoupled from
     quotient: Quotient | None  # what can be known and whose error can be made to die out
-    obstruction: str | None  # one sentence, or None when a virtual sensor exists
+    obstruction: Reason | None  # what stands in the way; None when a virtual sensor exists
     gap: Gap  # of the rank decisions
-    hidden: bool = False  # what stands in the way is a mode that stays, no unknown input
+
+    @property
+    def hidden(self) -> bool:
+        """Whether a mode that stays stands in the way, no unknown input and no term."""
+        return self.obstruction is not None and self.obstruction.code == 'mode stays'
 
 
 def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
@@ -59,7 +64,7 @@ def examine(problem: Problem, avoid: frozenset[int] = frozenset()) -> Existence:
         rows = np.vstack([keep, problem.C0])
         if not in_row_space(rows, problem.V, gap):
             states = _strongest(problem.plant.states, np.linalg.lstsq(Phi, lost, rcond=None)[0])
-            return Existence(forced, None, _undetectable(problem, modes, states), gap, True)
+            return Existence(forced, None, _mode_stays(problem, modes, states), gap)
         # a term whose argument went with a hidden mode must not act either
         avoid = forced | {i for i, g in enumerate(problem.G) if not in_row_space(rows, g)}
         if avoid == forced:
@@ -130,16 +135,14 @@ def _strongest(states: tuple[str, ...], directions: np.ndarray) -> tuple[str, ..
     return tuple(s for s, w in zip(states, weight) if w > 1e-3 * weight.max(initial=0.0))
 
 
-def _unread(problem: Problem) -> str:
-    names = tuple(name for name, column in zip(
-        problem.plant.disturbances,
-        problem.plant.Cd[[problem.plant.sensors.index(problem.channel)]].T) if column.any())
-    return (f'it reads the unknown input{"s" * (len(names) > 1)} {_listed(names)} directly, and '
-            'no healthy sensor does')
+def _unread(problem: Problem) -> Reason:
+    row = problem.plant.Cd[problem.plant.sensors.index(problem.channel)]
+    return Reason.of('reads unknown input', names=tuple(
+        name for name, direct in zip(problem.plant.disturbances, row) if direct))
 
 
-def disturbed(problem: Problem, forced: frozenset[int]) -> str:
-    """Say which unknown input or which nonlinear term blocks the way."""
+def disturbed(problem: Problem, forced: frozenset[int]) -> Reason:
+    """Find which unknown input or which nonlinear term blocks the way."""
     plant = problem.plant
 
     def hides(D: np.ndarray) -> bool:
@@ -152,20 +155,10 @@ def disturbed(problem: Problem, forced: frozenset[int]) -> str:
         culprits = tuple(name for i, name in enumerate(plant.disturbances)
                          if D[:, i].any() and hides(D[:, [i]] / np.linalg.norm(D[:, i])))
         culprits = culprits or plant.disturbances
-        several = len(culprits) > 1
-        way = _way(problem, culprits)
-        acts = (f'the unknown input{"s" * several} {_listed(culprits)} ' + (
-            f'{"reach" if several else "reaches"} it through {_listed(way)}' if way
-            else f'act{"s" * (not several)} on it'))
-        if not problem.healthy:
-            return f'{acts} and no sensor is left to tell them apart'
-        if way:
-            return (f'{acts}, and {_listed(problem.healthy)} cannot tell {_listed(way)} from '
-                    f'{"them" if several else "it"}')
-        return f'{acts} and cannot be told apart from it by {_listed(problem.healthy)}'
-    terms = tuple(plant.terms[i].name for i in sorted(forced))
-    return (f'{_terms(terms)} on it with an argument that {_listed(problem.healthy)} cannot tell'
-            if problem.healthy else f'{_terms(terms)} on it and no sensor is left')
+        return Reason.of('unknown inputs', names=culprits, way=_way(problem, culprits),
+                         healthy=problem.healthy)
+    return Reason.of('terms', names=tuple(plant.terms[i].name for i in sorted(forced)),
+                     healthy=problem.healthy)
 
 
 def _way(problem: Problem, culprits: tuple[str, ...]) -> tuple[str, ...]:
@@ -200,23 +193,10 @@ def _way(problem: Problem, culprits: tuple[str, ...]) -> tuple[str, ...]:
     return ()
 
 
-def _undetectable(problem: Problem, modes: np.ndarray, states: tuple[str, ...]) -> str:
+def _mode_stays(problem: Problem, modes: np.ndarray, states: tuple[str, ...]) -> Reason:
     discrete = problem.plant.sample_time is not None
-    size = np.abs(modes).max() if discrete else modes.real.max()
+    size = float(np.abs(modes).max() if discrete else modes.real.max())
     if abs(size) < 1e-9 * problem.speed:
         size = 0.0
-    kind = 'modulus' if discrete else 'real part'
-    counted = ('; nonlinear terms count with their slope at the operating point'
-               if problem.plant.terms else '')
-    who = f'{_listed(problem.healthy)} cannot see' if problem.healthy else 'no sensor is left for'
-    return (f'{who} the mode of {kind} {size:.3g} in {_listed(states)}, which does not '
-            f'surely die out by itself: an initial error would stay{counted}')
-
-
-def _terms(names: tuple[str, ...]) -> str:
-    return f'the nonlinear term{"s" * (len(names) > 1)} {_listed(names)} ' + (
-        'acts' if len(names) == 1 else 'act')
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
+    return Reason.of('mode stays', size=size, discrete=discrete, states=states,
+                     healthy=problem.healthy, terms=bool(problem.plant.terms))

@@ -1,9 +1,10 @@
 """
 The quietest virtual sensor with a given characteristic polynomial.
 
-With N given, all rows W that satisfy ``W A = N W + j E`` are affine in free gains, v asks for
-linear equations of them, and the noise is a quadratic form: least squares. N is modal (S (19) and
-R (14) in the quotient, all solutions kept) or, where roots repeat, of Hessenberg form.
+With N given, all rows W that satisfy ``W A = N W + j E`` are affine in free gains. To give v,
+these gains must satisfy linear equations; the noise is quadratic in them. The quietest virtual
+sensor is therefore a least-squares solution. N is modal (S (19) and R (14) in the quotient, all
+solutions kept) or, where roots repeat, a Hessenberg matrix.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ SPARING = 1.1  # reading fewer sensors may cost so much noise
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class GainEquations:
     """
     All solutions of ``W A = N W + j E``, ``v = Cv W + g E`` for one N.
 
@@ -46,12 +47,12 @@ class Form:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Solutions:
     """All virtual sensors with one N: gains ``best + t Z``, variance ``variance + |t|^2``."""
 
     known: Quotient
     noise: NoiseModel
-    form: Form
+    form: GainEquations
     best: np.ndarray  # (u,)
     Z: np.ndarray  # (f, u)
     variance: float
@@ -90,11 +91,11 @@ class Fit:
         return np.asarray(self.best + t @ self.Z)
 
 
-def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
+def with_spectrum(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Solutions | None:
     """
     Return all virtual sensors of one functional with this spectrum, around the quietest.
 
-    ``spectrum`` (k,) closed under conjugation; where eigenvalues repeat, ``fit_hessenberg`` is
+    ``spectrum`` (k,) closed under conjugation; where eigenvalues repeat, ``with_polynomial`` is
     to be taken. None when there is no virtual sensor.
     """
     k, c = len(spectrum), len(known.E)
@@ -123,8 +124,8 @@ def fit(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> Fit | None:
         row, gain = (row + 1, gain + s) if value.imag == 0 else (row + 2, gain + 2 * s)
     g_[gain:] = np.eye(c)
     M = np.einsum('k,ukr->ur', Cv[0], W_) + g_ @ known.E
-    return _least(known, noise, Form(N, Cv, np.zeros((k, known.order)), W_, j_, g_, M,
-                                     known.v[0]))
+    return _least(known, noise, GainEquations(
+        N, Cv, np.zeros((k, known.order)), W_, j_, g_, M, known.v[0]))
 
 
 def repeated(spectrum: np.ndarray) -> bool:
@@ -133,7 +134,7 @@ def repeated(spectrum: np.ndarray) -> bool:
     return bool(len(spectrum) > 1 and gaps.min() <= REPEATED * np.abs(spectrum).max())
 
 
-def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | None:
+def with_polynomial(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Solutions | None:
     """
     Return all virtual sensors whose N (k, k) is a member of a ``Family``, around the quietest.
 
@@ -158,7 +159,7 @@ def fit_hessenberg(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Fit | N
     Cv = np.zeros((1, k))
     Cv[0, 0] = size
     return _least(_less(known, known.v[0] - size * start), noise,
-                  Form(N, Cv, W0[:k], W_[:, :k], j_, g_, W_[:, k], -W0[k]))
+                  GainEquations(N, Cv, W0[:k], W_[:, :k], j_, g_, W_[:, k], -W0[k]))
 
 
 def _less(known: Quotient, measured: np.ndarray) -> Quotient:
@@ -187,7 +188,7 @@ def _modes(known: Quotient, spectrum: np.ndarray,
             yield value, rows[:, :len(A)], -rows[:, len(A):] * size
 
 
-def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
+def _least(known: Quotient, noise: NoiseModel, form: GainEquations) -> Solutions | None:
     """Find the gains of least noise under ``gains M = target``, and the directions left free."""
     M, v = form.M, form.target
     if not (np.isfinite(M).all() and np.isfinite(form.W_).all()):
@@ -219,11 +220,11 @@ def _least(known: Quotient, noise: NoiseModel, form: Form) -> Fit | None:
         variance = float(best @ gram @ best + 2 * linear @ best + constant)
     if not np.isfinite(variance):
         return None
-    return Fit(known, noise, form, best, free, max(variance, 0.0))
+    return Solutions(known, noise, form, best, free, max(variance, 0.0))
 
 
 def _noise_form(known: Quotient, noise: NoiseModel,
-                form: Form) -> tuple[np.ndarray, np.ndarray, float]:
+                form: GainEquations) -> tuple[np.ndarray, np.ndarray, float]:
     """Return gram (u, u), linear (u,), constant: variance = g gram g' + 2 linear g + constant."""
     B, D = noise.drives(known)
     k, u = len(form.N), len(form.g_)

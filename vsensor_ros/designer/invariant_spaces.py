@@ -34,7 +34,7 @@ POLISHED = 30  # so many free gains are polished by descent
 
 
 @dataclass(frozen=True, eq=False)
-class Closure:
+class InvariantSpace:
     """``W A = N W + j E`` and ``T E A = Nc W + jc E``; ``W + M T E`` serves, too."""
 
     W: np.ndarray  # (k, r)
@@ -45,7 +45,7 @@ class Closure:
     jc: np.ndarray  # (t, c)
 
 
-def closures(known: Quotient, outputs: np.ndarray) -> Iterator[Closure]:
+def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
     """
     Yield observers that know the rows ``outputs`` (s, r), of growing order.
 
@@ -74,7 +74,7 @@ def closures(known: Quotient, outputs: np.ndarray) -> Iterator[Closure]:
         k = len(W)
         # E above is orthonormal; back to the rows of the quotient
         back = solve_left(known.E, E)
-        yield Closure(W, Nj[:, :k], Nj[:, k:] @ back, T @ back, Nc[:, :k], Nc[:, k:] @ back)
+        yield InvariantSpace(W, Nj[:, :k], Nj[:, k:] @ back, T @ back, Nc[:, :k], Nc[:, k:] @ back)
         if len(U) == known.order:
             return
         grown = image(np.vstack([U, U @ known.A / size]).T).T
@@ -83,40 +83,40 @@ def closures(known: Quotient, outputs: np.ndarray) -> Iterator[Closure]:
         U = grown
 
 
-def whole(known: Quotient) -> Closure:
+def whole(known: Quotient) -> InvariantSpace:
     """Return the observer of all that is known but not read: order r less the rank of E."""
     E = image(known.E.T, size=1.0).T
     W = complement(E.T)
     back = solve_left(known.E, E)
     A = np.vstack([W, E]) @ known.A @ np.vstack([W, E]).T  # an orthonormal basis
     k = len(W)
-    return Closure(W, A[:k, :k], A[:k, k:] @ back, back, A[k:, :k], A[k:, k:] @ back)
+    return InvariantSpace(W, A[:k, :k], A[:k, k:] @ back, back, A[k:, :k], A[k:, k:] @ back)
 
 
-def candidates(known: Quotient, noise: NoiseModel, closed: Closure,
+def candidates(known: Quotient, noise: NoiseModel, space: InvariantSpace,
                decay: float, polish: bool = True) -> Iterator[Candidate]:
     """
-    Yield virtual sensors on a closure: without the free gain M, and with good ones.
+    Yield virtual sensors on an invariant space: without the free gain M, and with good ones.
 
     ``polish``: descend to the quietest gain at last, if there are few.
     """
-    k, t = len(closed.W), len(closed.T)
+    k, t = len(space.W), len(space.T)
     size = (k, t)
-    outputs = solve_left(np.vstack([closed.W, known.E]), known.v)
+    outputs = solve_left(np.vstack([space.W, known.E]), known.v)
 
     def member(M: np.ndarray) -> Candidate:
-        W, N, j, Cv, g = _with_gain(closed, outputs, M)
-        return Candidate(W @ known.Phi + M @ closed.T @ known.E @ known.Phi, N,
-                         j @ known.R + (W + M @ closed.T @ known.E) @ known.J, Cv,
+        W, N, j, Cv, g = _with_gain(space, outputs, M)
+        return Candidate(W @ known.Phi + M @ space.T @ known.E @ known.Phi, N,
+                         j @ known.R + (W + M @ space.T @ known.E) @ known.J, Cv,
                          g @ known.R + known.q)
 
     yield member(np.zeros(size))
     if not (k and t):
         return
     B, D = noise.drives(known)
-    W0B = closed.W @ B - closed.j @ D
+    W0B = space.W @ B - space.j @ D
     found = []
-    for M in _riccati(closed, W0B @ W0B.T, noise.sample_time, decay):
+    for M in _riccati(space, W0B @ W0B.T, noise.sample_time, decay):
         found.append(M)
         yield member(M)
     if not found or not polish or k * t > POLISHED:
@@ -124,13 +124,13 @@ def candidates(known: Quotient, noise: NoiseModel, closed: Closure,
 
     def cost(flat: np.ndarray) -> float:
         M = flat.reshape(size)
-        W, N, j, Cv, g = _with_gain(closed, outputs, M)
+        W, N, j, Cv, g = _with_gain(space, outputs, M)
         values = np.linalg.eigvals(N)
         speed = (-values.real.max() if noise.sample_time is None
                  else -np.log(max(np.abs(values).max(), 1e-12)) / noise.sample_time)
         if speed <= 0.99 * decay or speed <= 0:
             return 1e300
-        W = W + M @ closed.T @ known.E
+        W = W + M @ space.T @ known.E
         return noise.variance(N, W @ B - j @ D, Cv, g @ known.R + known.q)
 
     starts = sorted(found, key=lambda M: cost(M.ravel()))
@@ -140,34 +140,34 @@ def candidates(known: Quotient, noise: NoiseModel, closed: Closure,
         yield member(best.x.reshape(size))
 
 
-def _with_gain(closed: Closure, outputs: np.ndarray, M: np.ndarray,
+def _with_gain(space: InvariantSpace, outputs: np.ndarray, M: np.ndarray,
                ) -> tuple[np.ndarray, ...]:
     """Return W (without M T E), N, j, Cv and g of the observer of ``(W + M T E) xi``."""
-    k = len(closed.W)
-    N = closed.N + M @ closed.Nc
-    return (closed.W, N, closed.j + M @ closed.jc - N @ M @ closed.T, outputs[:, :k],
-            outputs[:, k:] - outputs[:, :k] @ M @ closed.T)
+    k = len(space.W)
+    N = space.N + M @ space.Nc
+    return (space.W, N, space.j + M @ space.jc - N @ M @ space.T, outputs[:, :k],
+            outputs[:, k:] - outputs[:, :k] @ M @ space.T)
 
 
-def _riccati(closed: Closure, drive: np.ndarray, sample_time: float | None,
+def _riccati(space: InvariantSpace, drive: np.ndarray, sample_time: float | None,
              decay: float) -> Iterator[np.ndarray]:
     """Yield gains M for N + M Nc that decay as wanted if they can, the quietest first."""
-    k, t = len(closed.W), len(closed.T)
+    k, t = len(space.W), len(space.T)
     scale = max(float(np.trace(drive)) / k, float(np.finfo(float).tiny))
     drive = drive + 1e-6 * scale * np.eye(k)
-    gain = float(np.linalg.norm(closed.Nc)) / max(float(np.linalg.norm(closed.N, 2)), 1e-150)
+    gain = float(np.linalg.norm(space.Nc)) / max(float(np.linalg.norm(space.N, 2)), 1e-150)
     typical = scale * max(gain**2 / t, 1e-300)
     for weight in WEIGHTS if k <= SMALL else WEIGHTS[1:2]:
         meter = weight * typical * np.eye(t)
         for shift in (*(decay * faster for faster in FASTER), 0.0) if k <= SMALL else (decay, 0.0):
             try:
                 if sample_time is None:
-                    X = solve_continuous_are((closed.N + shift * np.eye(k)).T, closed.Nc.T,
+                    X = solve_continuous_are((space.N + shift * np.eye(k)).T, space.Nc.T,
                                              drive, meter)
-                    yield -np.linalg.solve(meter, closed.Nc @ X).T
+                    yield -np.linalg.solve(meter, space.Nc @ X).T
                 else:
                     grow = np.exp(shift * sample_time)
-                    N, Nc = grow * closed.N, grow * closed.Nc
+                    N, Nc = grow * space.N, grow * space.Nc
                     X = solve_discrete_are(N.T, Nc.T, drive, meter)
                     yield -np.linalg.solve(Nc @ X @ Nc.T + meter, Nc @ X @ N.T).T
             except (np.linalg.LinAlgError, ValueError):  # a mode on the boundary: try slower

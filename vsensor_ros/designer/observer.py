@@ -166,7 +166,7 @@ def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndar
     """
     Return N (k, k) and J (k, l0) with the nonlinear terms' slopes at the operating point.
 
-    Without those of a sign in continuous time, which are infinite where they are not zero.
+    In continuous time a sign is left out: its slope is 0 or infinite.
     """
     N, J = sensor.N, sensor.J
     for i in sensor.active:

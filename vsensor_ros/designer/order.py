@@ -30,10 +30,10 @@ CLEARLY = 1e-4  # so far outside, a vector is not looked at more closely
 @dataclass(frozen=True, eq=False)
 class Family:
     """
-    All characteristic polynomials of virtual sensors of order k: those of ``M + e_k theta F``.
+    All characteristic polynomials of virtual sensors of order k, as matrices ``M + e_k theta F``.
 
-    M (k, k); F (f, k) with orthonormal rows, f = k when the spectrum is free; e_k is the last
-    unit column and theta (f,) any row.
+    Each polynomial is the characteristic one of such a matrix. M (k, k); F (f, k) with orthonormal
+    rows, f = k when the spectrum is free; e_k is the last unit column and theta (f,) any row.
     """
 
     M: np.ndarray

@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from vsensor_ros.designer.candidates import (
-    closed,
-    Contender,
     filters,
     Ground,
     grounds,
+    JudgedCandidate,
     of_family,
     of_spectra,
+    on_invariant_spaces,
     stacked,
     static,
     whole,
 )
-from vsensor_ros.designer.exact import Verdict
+from vsensor_ros.designer.exact import ExactVerdict
 from vsensor_ros.designer.existence import examine, Existence
 from vsensor_ros.designer.fixed_spectrum import MOST_MODES, SPARING
 from vsensor_ros.designer.invariant_spaces import lower_bound
@@ -33,6 +33,7 @@ from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
+from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.stabilise import stable_members
 from vsensor_ros.designer.subspaces import Gap, in_row_space, RANK_TOLERANCE
 from vsensor_ros.functions.nonlinearity import set_valued
@@ -44,6 +45,7 @@ from vsensor_ros.observers.virtual_sensor import (
     Rung,
     VirtualSensor,
 )
+from vsensor_ros.reason import Reason
 
 QUIET = 2.0  # the least order is taken whose noise is within this factor of the best
 SLUGGISH = 0.5  # of the wanted decay rate: slower is taken only where nothing is faster
@@ -51,11 +53,11 @@ LIVELY = 1.25  # where no rate is wanted, the fastest is taken at so much of the
 SLOWER = 4.0  # the decay rate may fall by so much for reading fewer sensors
 MOST_RUNGS = 12  # looked at, before the filter is taken instead
 
-_Rungs = dict[int, tuple[Contender, VirtualSensor]]
+_Rungs = dict[int, tuple[JudgedCandidate, VirtualSensor]]
 
 
-def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer: str,
-          decay: float | None, exact: Verdict | None) -> VirtualSensor | Refusal:
+def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int], prefer: str,
+                  decay: float | None, exact: ExactVerdict | None) -> VirtualSensor | Refusal:
     """
     Return the virtual sensor for a problem that has one, with its proof and its ladder.
 
@@ -78,26 +80,27 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
 
     reserve = [c for g in where for c in (*filters(g), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
-        reserve += [c for g in where for c in closed(g)]
+        reserve += [c for g in where for c in on_invariant_spaces(g)]
     if len(problem.V) > 1:
         reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
-    proofs, ascents = _ascent(base, freedom), [_ascent(g, None) for g in where]
+    proofs = _families_by_order(base, freedom)
+    of_grounds = [_families_by_order(g, None) for g in where]
     for k in range(max(g.known.order for g in where) + 1):
         here = [c for c in reserve if c.order == k]
         proof = next(proofs, None)
         if k == 0:
             here += static(where[0])
-        for ground, ascent in zip(where, ascents):
-            family = proof if ground.known is base.known else next(ascent, None)
+        for ground, of_ground in zip(where, of_grounds):
+            family = proof if ground.known is base.known else next(of_ground, None)
             if k and family is not None and family[0] is not None:
                 here += of_family(ground, family[0])
-        found = _stand(problem, where, here, enough, 1.0 if decay else LIVELY)
+        found = _quietest_built(problem, where, here, enough, 1.0 if decay else LIVELY)
         if found is None:
             step = _excluded(k, base, proof, bound)
         else:
             rungs[k] = found
-            step = OrderStep(k, 'possible', f'found: {found[1].method}',
+            step = OrderStep(k, 'possible', say(Reason.of('found', method=found[1].method)),
                              len(proof[0].F) if proof and proof[0] else 0,
                              _numbers(proof[1] if proof else Gap()))
         steps.append(step)
@@ -108,9 +111,9 @@ def climb(problem: Problem, existence: Existence, avoid: frozenset[int], prefer:
             break
     # no order was good enough: take the best there is
     if not rungs:
-        reserve += [c for g in where for c in closed(g)]
+        reserve += [c for g in where for c in on_invariant_spaces(g)]
     for k in sorted({c.order for c in reserve}):
-        found = _stand(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
+        found = _quietest_built(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
         if found is not None:
             rungs.setdefault(k, found)
     if not rungs:
@@ -125,7 +128,7 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
     existence = examine(problem)
     if existence.quotient is None:
         return None
-    found = climb(problem, existence, avoid, prefer, decay, None)
+    found = search_orders(problem, existence, avoid, prefer, decay, None)
     if isinstance(found, Refusal):
         return None
     return Candidate(found.Phi * problem.scale, found.N, found.J * problem.y0_size,
@@ -133,8 +136,8 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
                      found.Q * problem.y0_size / problem.v_size[:, None])
 
 
-def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
-            ) -> Iterator[tuple[Family | None, Gap]]:
+def _families_by_order(ground: Ground, freedom: Sequence[int | None] | None,
+                       ) -> Iterator[tuple[Family | None, Gap]]:
     """Yield for k = 0, 1, .. the family of order k or None, and the gap; one functional only."""
     if len(ground.known.v) > 1:
         return
@@ -144,22 +147,23 @@ def _ascent(ground: Ground, freedom: Sequence[int | None] | None,
             yield family, gap
 
 
-def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], enough: float,
-           lively: float) -> tuple[Contender, VirtualSensor] | None:
+def _quietest_built(problem: Problem, where: list[Ground], candidates: list[JudgedCandidate],
+                    enough: float, lively: float,
+                    ) -> tuple[JudgedCandidate, VirtualSensor] | None:
     """
-    Build the quietest contender that is fast enough, or one nearly as good that reads less.
+    Build the quietest candidate that is fast enough, or one nearly as good that reads less.
 
-    With ``lively`` the fastest within so much of the least noise. Contenders that fail the check
-    of their equations are left out.
+    ``lively`` above 1: the fastest whose noise is within this factor of the least. Candidates
+    that fail the check of their equations are left out.
     """
-    while contenders:
-        fast = _fast(contenders, enough)
+    while candidates:
+        fast = _fast(candidates, enough)
         limit = lively * min(c.error for c in fast)
         best = max((c for c in fast if c.error <= limit),
                    key=lambda c: (c.decay if lively > 1 else 0.0, -c.error))
         sensor = build(problem, best.candidate, best.method)
         if sensor is None:
-            contenders = [c for c in contenders if c is not best]
+            candidates = [c for c in candidates if c is not best]
             continue
         rivals = [c for c in fast if c is not best]
         if len(problem.V) == 1 and best.order:  # the same spectrum, with fewer sensors read
@@ -177,14 +181,14 @@ def _stand(problem: Problem, where: list[Ground], contenders: list[Contender], e
     return None
 
 
-def _fast(contenders: list[Contender], enough: float) -> list[Contender]:
-    """Return those that decay fast enough or, if none does, nearly as fast as any."""
-    fastest = max(c.decay for c in contenders)
+def _fast(candidates: list[JudgedCandidate], enough: float) -> list[JudgedCandidate]:
+    """Return the candidates that decay fast enough; if none does, the fastest and near ones."""
+    fastest = max(c.decay for c in candidates)
     least = enough * (1 - 1e-6) if fastest >= enough else SLUGGISH * fastest
-    return [c for c in contenders if c.decay >= least]
+    return [c for c in candidates if c.decay >= least]
 
 
-def _good(rungs: _Rungs, k: int, reserve: list[Contender], enough: float) -> bool:
+def _good(rungs: _Rungs, k: int, reserve: list[JudgedCandidate], enough: float) -> bool:
     """Whether rung k is fast and quiet enough to be taken, as far as is known."""
     rivals = [*(c for c, _ in rungs.values()), *reserve]
     fast = _fast(rivals, enough)
@@ -212,26 +216,24 @@ def _first_order(known: Quotient) -> int:
 def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
               bound: int) -> OrderStep:
     """Say why there is no virtual sensor of order k, or that this is open."""
-    gap = _numbers(proof[1]) if proof else _numbers(Gap())
+    def step(verdict: str, why: Reason, freedom: int = 0) -> OrderStep:
+        return OrderStep(k, verdict, say(why), freedom, _numbers(proof[1] if proof else Gap()))
+
     if 0 < k < bound:
-        return OrderStep(k, 'impossible', 'what it must know besides the readings takes at '
-                         f'least {bound} states', 0, gap)
+        return step('impossible', Reason.of('too few states', least=bound))
     if k == 0 and not base.measured:
-        return OrderStep(k, 'impossible', 'no combination of the healthy readings equals it', 0,
-                         gap)
+        return step('impossible', Reason.of('no combination of readings'))
     if proof is None or k == 0:
-        return OrderStep(k, 'open', 'none was found', 0, gap)
-    if proof[0] is None:
-        return OrderStep(k, 'impossible', 'no characteristic polynomial of this degree satisfies '
-                         'the equations', 0, gap)
-    if k > MOST_MODES and len(proof[0].F):
-        return OrderStep(k, 'open', 'too large a polynomial to search for a stable one',
-                         len(proof[0].F), gap)
-    members, verdict = stable_members(proof[0], base.noise.sample_time, base.decay)
-    none = not members and verdict.startswith('none')
-    return OrderStep(k, 'impossible' if none else 'open',
-                     verdict.partition(': ')[2] or 'none found that passes all checks',
-                     len(proof[0].F), gap)
+        return step('open', Reason.of('none found'))
+    family = proof[0]
+    if family is None:
+        return step('impossible', Reason.of('no polynomial'))
+    if k > MOST_MODES and len(family.F):
+        return step('open', Reason.of('polynomial too large'), len(family.F))
+    none = stable_members(family, base.noise.sample_time, base.decay)[1]
+    if none is None:
+        return step('open', Reason.of('none passes'), len(family.F))
+    return step('impossible' if none.proved else 'open', none.why, len(family.F))
 
 
 def _numbers(gap: Gap) -> tuple[float, float]:
@@ -241,16 +243,17 @@ def _numbers(gap: Gap) -> tuple[float, float]:
 def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
             doubts: list[str], decay: float | None) -> VirtualSensor:
     """Return rung k with the proof, the ladder and its noise against the floor."""
-    contender, sensor = rungs[k]
-    if decay is not None and contender.decay < 0.99 * decay:
-        doubts = [*doubts, f'a decay rate of {decay:g} 1/s was wanted: {contender.decay:.3g} 1/s '
-                  'is the fastest that was found at this order']
+    candidate, sensor = rungs[k]
+    if decay is not None and candidate.decay < 0.99 * decay:
+        doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
+                                         found=candidate.decay))]
     upper = min(rungs)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)
     # with a polynomial p of one order there is (s + a) p of the next
     steps = [s if s.order >= lower or s.verdict == 'impossible' else replace(
-        s, verdict='impossible', why=f'order {lower - 1} is impossible') for s in steps]
+        s, verdict='impossible', why=say(Reason.of('impossible above', order=lower - 1)))
+        for s in steps]
     steps = [s for s in steps if s.order < lower or s.verdict != 'impossible']
     ladder = tuple(Rung(order, c.error, v.noise_gain, c.decay, v.method)
                    for order, (c, v) in sorted(rungs.items()))
@@ -258,27 +261,22 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     floor = min([c.error for c, _ in rungs.values()] + (
         [float(np.sqrt(max(least, 0.0)))] if np.isfinite(least) else []))
     return replace(sensor, ladder=ladder,
-                   noise=Noise(contender.error, floor, base.noise.assumed),
+                   noise=Noise(candidate.error, floor, base.noise.assumed),
                    proof=Proof(lower, upper, tuple(steps),
                                tuple(dict.fromkeys(doubts))))
 
 
 def _refusal(base: Ground, doubts: list[str]) -> Refusal:
     problem = base.problem
-    terms = ', '.join(t.name for t in problem.plant.terms)
-    why = ('passes the check of its equations: the plant is ill-conditioned' if not terms else
-           f'is stable together with {terms}')
-    if any(set_valued(term) for term in problem.plant.terms):
-        why += ' (a sign that drives its own argument away from zero leaves two branches apart)'
-    return Refusal(problem.channel, problem.fault_set, (
-        f'the linear equations allow a virtual sensor of order up to {base.known.order}, but none '
-        f'was found that {why}'), doubts=tuple(dict.fromkeys(doubts)))
+    terms = problem.plant.terms
+    return Refusal(problem.channel, problem.fault_set, say(Reason.of(
+        'none stable', order=base.known.order, terms=tuple(term.name for term in terms),
+        signs=any(set_valued(term) for term in terms))), doubts=tuple(dict.fromkeys(doubts)))
 
 
-def doubtful(gap: Gap, what: str, exact: Verdict | None) -> list[str]:
+def doubtful(gap: Gap, what: str, exact: ExactVerdict | None) -> list[str]:
     """Say which rank decisions were ambiguous, and whether exact arithmetic settled them."""
     if not gap.doubtful:
         return []
-    settled = '; exact arithmetic on the decimals as given decided' if exact else ''
-    return [f'{what}: relative singular values of {gap.zero:.1e} were taken for zero and of '
-            f'{gap.nonzero:.1e} not, the limit is {RANK_TOLERANCE:g}{settled}']
+    return [say(Reason.of('ambiguous ranks', what=what, zero=gap.zero, nonzero=gap.nonzero,
+                          limit=RANK_TOLERANCE, settled=exact is not None))]

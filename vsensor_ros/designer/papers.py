@@ -22,6 +22,7 @@ from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.noise import mean_rate
 from vsensor_ros.designer.observer import build, Candidate, close_loop, knows_arguments, polished
 from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.stabilise import decay_of
 from vsensor_ros.designer.subspaces import (
     in_row_space,
@@ -31,6 +32,7 @@ from vsensor_ros.designer.subspaces import (
     solve_left,
 )
 from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.reason import Reason
 
 NOISE_FACTOR = 2.0  # the fastest within this factor of the quietest is taken
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the observer, against the plant's own mean rate
@@ -55,10 +57,9 @@ def least_order(problem: Problem, avoid: frozenset[int], method: str) -> Virtual
             sensors = search(problem, k, existence.forced | frozenset(more))
             if sensors:
                 return _choose(sensors)
-    terms = ', '.join(t.name for t in problem.plant.terms)
-    return Refusal(problem.channel, problem.fault_set, (
-        f'a virtual sensor of order up to {existence.quotient.order} exists, but none in {method} '
-        'canonical form was found' + (f' that is stable together with {terms}' if terms else '')))
+    return Refusal(problem.channel, problem.fault_set, say(Reason.of(
+        'none in canonical form', order=existence.quotient.order, form=method,
+        terms=tuple(t.name for t in problem.plant.terms))))
 
 
 def _choose(sensors: list[VirtualSensor]) -> VirtualSensor:

@@ -8,12 +8,15 @@ over conditions that any stable polynomial meets; a member is found by descent.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import block_diag, eig
 from scipy.optimize import linprog, minimize
 
 from vsensor_ros.designer.order import Family
 from vsensor_ros.designer.subspaces import unobservable
+from vsensor_ros.reason import Reason
 
 STARTS = 6  # descents from different points
 LINES = 40  # looked along where descents found nothing
@@ -23,6 +26,14 @@ CERTAIN = 12  # up to such a degree the linear program is trusted to exclude
 WORK = 3e7  # operations, in cubes of the degree, that one family is worth
 SIMPLEX = 3  # up to so many free coefficients a simplex helps over the kinks
 _SAMPLES = 60  # real points at which the linear program looks
+
+
+@dataclass(frozen=True)
+class NoStableMember:
+    """Why a family of polynomials has no stable member, or why none is known."""
+
+    proved: bool  # that there is none; else none was found
+    why: Reason
 
 
 def decay_of(eigenvalues: np.ndarray, sample_time: float | None) -> float:
@@ -35,25 +46,25 @@ def decay_of(eigenvalues: np.ndarray, sample_time: float | None) -> float:
 
 
 def stable_members(family: Family, sample_time: float | None,
-                   wanted: float) -> tuple[list[np.ndarray], str]:
+                   wanted: float) -> tuple[list[np.ndarray], NoStableMember | None]:
     """
     Return theta (f,) of members that decay, the fastest first, and what is known if none does.
 
-    The text is empty when a member was found; 'none: ..' when it is proved that no member is
-    stable; 'open: ..' otherwise. ``wanted`` [1/s]: a decay rate beyond which nothing is sought.
+    ``wanted`` [1/s]: a decay rate beyond which nothing is sought.
     """
     f, least = len(family.F), margin(family, sample_time)
     if f == 0:
-        points, verdict = [np.zeros(0)], 'none: the only polynomial has the root'
+        points = [np.zeros(0)]
+        none = NoStableMember(True, Reason.of(
+            'one polynomial', root=_worst(family.roots(points[0]), sample_time)))
     elif f == 1:
         points = _along(family, np.zeros(1), np.ones(1), sample_time)
         points += [_better(family, sample_time, wanted, p) for p in points]
-        verdict = ('none: one coefficient is free, and between all values at which a root '
-                   'crosses the limit of stability an unstable one is left')
+        none = NoStableMember(True, Reason.of('one free coefficient'))
     else:
-        verdict = ('open: any spectrum can be had, but no design passed all checks' if family.free
-                   else _excluded(family, sample_time))
-        points = [] if verdict.startswith('none') else _descents(family, sample_time, wanted)
+        none = (NoStableMember(False, Reason.of('any spectrum')) if family.free
+                else _excluded(family, sample_time))
+        points = [] if none.proved else _descents(family, sample_time, wanted)
     rates = [decay_of(family.roots(theta), sample_time) for theta in points]
     if points and max(rates) <= least and f > 1:
         points = _lines(family, sample_time, points[int(np.argmax(rates))])
@@ -61,11 +72,7 @@ def stable_members(family: Family, sample_time: float | None,
         rates = [decay_of(family.roots(theta), sample_time) for theta in points]
     order = sorted(range(len(points)), key=lambda i: -rates[i])
     stable = [points[i] for i in order if rates[i] > least]
-    if stable:
-        return stable, ''
-    if f == 0:
-        verdict += f' {_worst(family.roots(points[0]), sample_time):.4g}'
-    return [], verdict
+    return stable, None if stable else none
 
 
 def margin(family: Family, sample_time: float | None) -> float:
@@ -209,12 +216,13 @@ def _descents(family: Family, sample_time: float | None, wanted: float) -> list[
     return found
 
 
-def _excluded(family: Family, sample_time: float | None) -> str:
+def _excluded(family: Family, sample_time: float | None) -> NoStableMember:
     """Exclude stable members by a linear program, if that is possible."""
     k = len(family.M)
     shared = fixed_roots(family)
     if decay_of(shared, sample_time) <= margin(family, sample_time):
-        return f'none: all polynomials share the roots {_worst(shared, sample_time):.4g}'
+        return NoStableMember(True, Reason.of('shared roots', root=_worst(shared, sample_time)))
+    unknown = NoStableMember(False, Reason.of('not found among', free=len(family.F)))
     # p(s) > 0 at real s beyond the boundary, and with it all derivatives (Gauss and Lucas):
     # p(s) = det(s - M) (1 - theta F (s - M)^-1 e_k)
     size = max(float(np.linalg.norm(family.M, 2)), 1e-300)
@@ -231,7 +239,7 @@ def _excluded(family: Family, sample_time: float | None) -> str:
             rows.append(sign * value)
             bounds.append(sign)
     if k > CERTAIN:
-        return f'open: no stable one was found among those with {len(family.F)} free coefficients'
+        return unknown
     coefficients, moves = _coefficients(family)
     if sample_time is None:
         rows += list(-moves.T)
@@ -244,9 +252,8 @@ def _excluded(family: Family, sample_time: float | None) -> str:
                     A_ub=np.column_stack([A, np.ones(len(A))]), b_ub=b,
                     bounds=[*[(-1e6, 1e6)] * len(family.F), (None, 1.0)], method='highs')
     if found.status == 0 and found.x[-1] < -CLEAR:
-        return ('none: no choice of the free coefficients keeps the polynomial positive where '
-                'that of a stable one is')
-    return f'open: no stable one was found among those with {len(family.F)} free coefficients'
+        return NoStableMember(True, Reason.of('not positive'))
+    return unknown
 
 
 def _coefficients(family: Family) -> tuple[np.ndarray, np.ndarray]:

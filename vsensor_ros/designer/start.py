@@ -15,12 +15,12 @@ def started(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     """
     Add the covariance (k, k) of ``Phi x - z`` at the start to a virtual sensor that has states.
 
-    A state is spread evenly over its range in the plant. One without a range differs from its
-    initial value by a standard deviation of its natural size (see noise.py), of the initial value
-    or of the operating point, whichever is most: 100 times the noise where nothing else is known.
-    So give ranges: a state that is further off than that makes the estimate worse, while it
-    converges, than its standard deviation says. What readings tell of it at the start is taken
-    off, and their noise added.
+    A state with a range is taken to be anywhere in it, evenly. A state without one differs from
+    its initial value by a standard deviation: the largest of its natural size (see noise.py), its
+    initial value and its operating point; where nothing else is known, 100 times the noise. So
+    give ranges: if a state is further off than that, the estimate is worse, while it converges,
+    than the stated deviation. What the readings tell at the start is taken off, and their noise
+    is added.
     """
     if not sensor.order:
         return sensor

@@ -22,7 +22,9 @@ import warnings
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
-from vsensor_ros.functions.catalogue import CATALOGUE, Function, OPERATORS
+from vsensor_ros.functions.catalogue import CATALOGUE
+from vsensor_ros.functions.function import Function
+from vsensor_ros.functions.operators import OPERATORS
 
 MAX_CHARACTERS = 2000
 MAX_DEPTH = 50
@@ -66,7 +68,10 @@ _WORDS: dict[type, str] = {
     ast.SetComp: 'a comprehension', ast.DictComp: 'a comprehension',
     ast.GeneratorExp: 'a comprehension', ast.List: 'a list', ast.NamedExpr: ':=',
     ast.JoinedStr: 'a text', ast.Not: 'not', ast.Starred: 'a star', ast.keyword: 'a keyword'}
-_ALLOWED = ('use numbers, names, pi, + - * / **, parentheses and the functions '
+
+
+def _allowed() -> str:
+    return ('use numbers, names, pi, + - * / **, parentheses and the functions '
             + ', '.join(CATALOGUE))
 
 
@@ -84,16 +89,16 @@ def parse(text: str | float, where: object = 'expression', key: str = '',
             raise BadInput(where, key, f'{text} is not finite', 'give a finite number')
         text = repr(text)
     if not isinstance(text, str):
-        raise BadInput(where, key, f'{shown(text)} is not an expression', _ALLOWED)
+        raise BadInput(where, key, f'{shown(text)} is not an expression', _allowed())
     if len(text) > MAX_CHARACTERS:
         raise BadInput(where, key, f'the expression has {len(text)} characters',
                        f'keep it within {MAX_CHARACTERS}')
     text = ' '.join(text.split())
     if not text:
-        raise BadInput(where, key, 'the expression is empty', _ALLOWED)
+        raise BadInput(where, key, 'the expression is empty', _allowed())
     if not text.isascii() or '#' in text:
         strange = next(c for c in text if not c.isascii() or c == '#')
-        raise BadInput(where, key, f'{shown(strange)} is not in the language', _ALLOWED)
+        raise BadInput(where, key, f'{shown(strange)} is not in the language', _allowed())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')
@@ -101,7 +106,7 @@ def parse(text: str | float, where: object = 'expression', key: str = '',
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else 'nested too deeply'
         raise BadInput(where, key, f'{shown(text)} cannot be read ({reason})',
-                       _ALLOWED) from None
+                       _allowed()) from None
     node = _whitelisted(tree, where, key, 1)
     if known is not None:
         check_names(node, known, where, key)
@@ -134,7 +139,7 @@ def check_names(node: Node, known: Iterable[str], where: object = 'expression',
 
 def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
     def refused(what: str) -> BadInput:
-        return BadInput(where, key, f'{what} is not in the language', _ALLOWED)
+        return BadInput(where, key, f'{what} is not in the language', _allowed())
 
     if depth > MAX_DEPTH:
         raise BadInput(where, key, f'the expression is nested more than {MAX_DEPTH} deep',
@@ -172,7 +177,7 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
             near = difflib.get_close_matches(name, CATALOGUE, 1)
             hint = f'did you mean {near[0]}? ' if near else ''
             raise BadInput(where, key, f'the function {shown(name)} is not in the language',
-                           hint + _ALLOWED)
+                           hint + _allowed())
         strange = [a for a in tree.args if isinstance(a, ast.Starred)] + tree.keywords
         if strange:
             raise refused(_word(strange[0]))
@@ -193,9 +198,6 @@ def negate(node: Node) -> Node:
     return Number(-node.value) if isinstance(node, Number) else Apply('neg', (node,))
 
 
-_PRECEDENCE = {'+': 1, '-': 1, '*': 2, '/': 2, 'neg': 3, '**': 4}
-
-
 def to_text(node: Node) -> str:
     """Print a node so that parse gives the same node again."""
     return _printed(node)[0]
@@ -208,9 +210,9 @@ def _printed(node: Node) -> tuple[str, int]:
         text = repr(float(node.value))
         negative = text.startswith('-')
         return text[:-2] if text.endswith('.0') else text, 3 if negative else 5
-    if node.function not in OPERATORS:
+    own = function_of(node).precedence
+    if own is None:
         return f'{node.function}({", ".join(to_text(a) for a in node.arguments)})', 5
-    own = _PRECEDENCE[node.function]
 
     def side(argument: Node, at_least: int) -> str:
         text, precedence = _printed(argument)
@@ -260,8 +262,7 @@ def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
     arguments = tuple(fold(a, where, key) for a in node.arguments)
     folded = Apply(node.function, arguments)
     function = function_of(node)
-    # NaN stands for what is not known yet and lies in every domain
-    numbers = [a.value if isinstance(a, Number) else math.nan for a in arguments]
+    numbers = _constants(arguments)
     with np.errstate(all='ignore'):
         outside = function.outside is not None and bool(function.outside(*numbers))
         if not outside and not all(isinstance(a, Number) for a in arguments):
@@ -303,13 +304,12 @@ def compile_node(node: Node, fetch: Mapping[str, Closure]) -> Closure:
 
 def domain_limited(node: Apply) -> bool:
     """Whether some arguments lie outside the domain of what the node applies."""
-    last = node.arguments[-1]
-    if node.function == '**' and isinstance(last, Number):
-        return last.value < 0.0 or not last.value.is_integer()
-    if node.function in ('/', 'sat', 'deadzone') \
-            and all(isinstance(a, Number) for a in node.arguments[1:]):
-        return False    # the first argument does not matter, and fold has checked the others
-    return function_of(node).outside is not None
+    return function_of(node).limited(*_constants(node.arguments))
+
+
+def _constants(arguments: Iterable[Node]) -> list[float]:
+    # NaN stands for what is not known yet and lies in every domain
+    return [a.value if isinstance(a, Number) else math.nan for a in arguments]
 
 
 def compile_outside(node: Node, fetch: Mapping[str, Closure]) -> Closure | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.functions.catalogue import CATALOGUE, Function
+from vsensor_ros.functions.catalogue import CATALOGUE
 from vsensor_ros.functions.expression import (
     Apply,
     Closure,
@@ -29,6 +29,7 @@ from vsensor_ros.functions.expression import (
     parse,
     to_text,
 )
+from vsensor_ros.functions.function import Function
 
 __all__ = [
     'CATALOGUE', 'Function', 'NonlinearTerm', 'argument_names', 'check_term',

@@ -21,6 +21,7 @@ from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.report import design_text, report_simulation
+from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.whole_file import write_whole
 
 MOST_PICTURES = 12
@@ -67,7 +68,7 @@ def check_target(path: str | Path) -> None:
         raise BadInput(path, 'report', 'is a file that is not named .html',
                        'name a file out.html, or a folder')
     try:
-        report_simulation.need_matplotlib()
+        need_matplotlib()
     except ModuleNotFoundError as missing:
         raise BadInput('report', '', f'{missing.name} is not installed',
                        'pip install matplotlib, or leave the report out') from None
@@ -324,15 +325,7 @@ def _figure(plant: Plant, design: Design, entry: VirtualSensor, salt: str) -> st
     else:
         try:
             start = report_simulation.from_wrong_start(plant, design, entry)
-            first, last = np.abs(start.error[[0, -1]])
-            reach = float(np.abs(start.truth).max())
-            said.append('From a wrong start the error goes from '
-                        f'{design_text.number(first, unit)} to {design_text.number(last, unit)} '
-                        f'in {design_text.number(start.time[-1], "s")}' + (
-                            f', while the truth runs away to {design_text.number(reach, unit)}'
-                            if reach > 1e3 * first else '') + (
-                            ': from there it does not find back, the start lies outside what is '
-                            'certified' if last > first and reach <= 1e3 * first else '') + '.')
+            said.append(_from_wrong_start(start, unit))
         except report_simulation.NotRun as why:
             said.append(f'The run from a wrong start is not shown: {why}.')
     if plant.disturbances:
@@ -350,9 +343,38 @@ def _figure(plant: Plant, design: Design, entry: VirtualSensor, salt: str) -> st
                         f'{design_text.number(float(np.nanmax(np.abs(pushed.error))), unit)}.')
         except report_simulation.NotRun as why:
             said.append(f'The run with unknown inputs is not shown: {why}.')
-    drawing = (report_simulation.picture(entry, unit, start, pushed, salt)
+    said = [*_unstable((start, pushed)), *said]
+    drawing = (picture(entry, unit, start, pushed, salt)
                if start is not None or pushed is not None else '')
     return f'<figure>{drawing}<figcaption>{escape(" ".join(said))}</figcaption></figure>'
+
+
+def _from_wrong_start(run: report_simulation.SimulatedRun, unit: str) -> str:
+    first, last = np.abs(run.error[[0, -1]])
+    reach = float(np.abs(run.truth).max())
+    away = run.runs_away or reach > 1e3 * first
+    text = (f'From a wrong start the error goes from {design_text.number(first, unit)} to '
+            f'{design_text.number(last, unit)} in {design_text.number(run.time[-1], "s")}')
+    if away:
+        text += f', while the truth runs away to {design_text.number(reach, unit)}'
+    elif last > first:
+        text += ': from there it does not find back, the start lies outside what is certified'
+    return f'{text}.'
+
+
+def _unstable(runs: Iterable[report_simulation.SimulatedRun | None]) -> list[str]:
+    """Say what was done with a plant that does not stay where it is by itself."""
+    shown = [run for run in runs if run is not None]
+    said = []
+    if any(run.held for run in shown):
+        said.append('The plant is unstable by itself. Here a controller that knows its true state '
+                    'holds it; the virtual sensor knows only readings and commands.')
+    away = next((run for run in shown if run.runs_away), None)
+    if away is not None:
+        said.append('The plant is unstable and its commands do not hold it: only the error is '
+                    'drawn. It may grow with the readings, of which there is one each '
+                    f'{design_text.number(away.time[1], "s")}.')
+    return said
 
 
 def _reading() -> str:
@@ -368,5 +390,5 @@ def _reading() -> str:
          'does not feel them, a bounded one does, by the gain stated'),
         ('in doubt', 'a decision on a rank so close that a small error of the model turns it'),
         ('pictures', "simulated without sensor noise; the replacer's own arithmetic beside the "
-         'true plant'),
+         'true plant, which is held by its commands where it is unstable by itself'),
     ])

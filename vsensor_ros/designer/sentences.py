@@ -1,0 +1,175 @@
+"""
+Every sentence with which the search for virtual sensors explains itself, by its code.
+
+The search decides by codes and facts (``Reason``) and never reads a sentence. A fact is a name of
+the user, a tuple of such names, a number or a flag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from decimal import Context, ROUND_CEILING
+
+from vsensor_ros.reason import Reason
+
+Names = Sequence[str]
+
+
+def say(reason: Reason) -> str:
+    """Return the sentence of a reason of the designer."""
+    return SENTENCES[reason.code](**dict(reason.facts))
+
+
+def listed(names: Names) -> str:
+    """Return 'a, b and c'."""
+    return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
+
+
+# --------------------------------------------- why there is no decoupled virtual sensor at all
+
+def _reads_unknown_input(names: Names) -> str:
+    return (f'it reads the unknown input{"s" * (len(names) > 1)} {listed(names)} directly, and '
+            'no healthy sensor does')
+
+
+def _unknown_inputs(names: Names, way: Names, healthy: Names) -> str:
+    several = len(names) > 1
+    acts = (f'the unknown input{"s" * several} {listed(names)} ' + (
+        f'{"reach" if several else "reaches"} it through {listed(way)}' if way
+        else f'act{"s" * (not several)} on it'))
+    if not healthy:
+        return f'{acts} and no sensor is left to tell them apart'
+    if way:
+        return (f'{acts}, and {listed(healthy)} cannot tell {listed(way)} from '
+                f'{"them" if several else "it"}')
+    return f'{acts} and cannot be told apart from it by {listed(healthy)}'
+
+
+def _terms(names: Names, healthy: Names) -> str:
+    acts = f'the nonlinear term{"s" * (len(names) > 1)} {listed(names)} ' + (
+        'acts' if len(names) == 1 else 'act')
+    return (f'{acts} on it with an argument that {listed(healthy)} cannot tell' if healthy
+            else f'{acts} on it and no sensor is left')
+
+
+def _mode_stays(size: float, discrete: bool, states: Names, healthy: Names, terms: bool) -> str:
+    kind = 'modulus' if discrete else 'real part'
+    counted = '; nonlinear terms count with their slope at the operating point' if terms else ''
+    who = f'{listed(healthy)} cannot see' if healthy else 'no sensor is left for'
+    return (f'{who} the mode of {kind} {size:.3g} in {listed(states)}, which does not '
+            f'surely die out by itself: an initial error would stay{counted}')
+
+
+def _already_without(fault_set: Names, reason: str) -> str:
+    return f'already when {" and ".join(fault_set) or "no sensor"} alone has failed: {reason}'
+
+
+# ------------------------------------------------------------ why one was sought and not found
+
+def _none_stable(order: int, terms: Names, signs: bool) -> str:
+    why = (f'is stable together with {", ".join(terms)}' if terms else
+           'passes the check of its equations: the plant is ill-conditioned')
+    if signs:
+        why += ' (a sign that drives its own argument away from zero leaves two branches apart)'
+    return (f'the linear equations allow a virtual sensor of order up to {order}, but none '
+            f'was found that {why}')
+
+
+def _none_in_canonical_form(order: int, form: str, terms: Names) -> str:
+    return (f'a virtual sensor of order up to {order} exists, but none in {form} '
+            'canonical form was found'
+            + (f' that is stable together with {", ".join(terms)}' if terms else ''))
+
+
+# ----------------------------------------------------------------------- what is in doubt
+
+def _ambiguous_ranks(what: str, zero: float, nonzero: float, limit: float, settled: bool) -> str:
+    return (f'{what}: relative singular values of {zero:.1e} were taken for zero and of '
+            f'{nonzero:.1e} not, the limit is {limit:g}'
+            + ('; exact arithmetic on the decimals as given decided' if settled else ''))
+
+
+def _slower_than_wanted(wanted: float, found: float) -> str:
+    return (f'a decay rate of {wanted:g} 1/s was wanted: {found:.3g} 1/s '
+            'is the fastest that was found at this order')
+
+
+# ------------------------------------------ what unknown inputs do that are not decoupled
+
+def _shown(gain: float, unit: str) -> str:
+    return f'{gain:.3g}' + (f' {unit}' if unit else '')
+
+
+def _decoupled(free: Names, kept: Sequence[tuple[str, float, float, float]], unit: str) -> str:
+    # kept: (name, largest gain, at the frequency [rad/s], gain when constant)
+    parts = [f'{name} (at most {_shown(gain, unit)} per unit, at {at:.3g} rad/s; '
+             f'{_shown(constant, unit)} when constant)' for name, gain, at, constant in kept]
+    return (f'decoupled from {", ".join(free)}, ' if free else '') + (
+        f'not decoupled from {", ".join(parts)}')
+
+
+def _rows_decoupled(rows: Sequence[int]) -> str:
+    # numbered from 1
+    return (f'row{"s" * (len(rows) > 1)} {", ".join(map(str, rows))} decoupled from all; '
+            'the others')
+
+
+def _alternative(order: int, gain: float, names: Names, unit: str, terms: bool) -> str:
+    above = float(Context(prec=2, rounding=ROUND_CEILING).create_decimal(gain))
+    return (f'not decoupled, but bounded: order {order} or less with '
+            f'at most {above:.2g}' + (f' {unit}' if unit else '') + ' per unit of '
+            f'{" and ".join(names)}{" together" * (len(names) > 1)}'
+            + ' near the operating point' * terms + ' (bounded=True, or --bounded)')
+
+
+SENTENCES: dict[str, Callable[..., str]] = {
+    'reads unknown input': _reads_unknown_input,
+    'unknown inputs': _unknown_inputs,
+    'terms': _terms,
+    'mode stays': _mode_stays,
+    'already without': _already_without,
+    'none stable': _none_stable,
+    'none in canonical form': _none_in_canonical_form,
+    'none by singular values': lambda: (
+        'no design of the method of singular values gives it and is stable'),
+
+    # of one order: why there is none, or why that is open
+    'found': lambda method: f'found: {method}',
+    'too few states': lambda least: (
+        f'what it must know besides the readings takes at least {least} states'),
+    'no combination of readings': lambda: 'no combination of the healthy readings equals it',
+    'no polynomial': lambda: (
+        'no characteristic polynomial of this degree satisfies the equations'),
+    'polynomial too large': lambda: 'too large a polynomial to search for a stable one',
+    'impossible above': lambda order: f'order {order} is impossible',
+    'none found': lambda: 'none was found',
+    'none passes': lambda: 'none found that passes all checks',
+
+    # of a family of polynomials: why it has no stable member, or why that is open
+    'one polynomial': lambda root: f'the only polynomial has the root {root:.4g}',
+    'one free coefficient': lambda: (
+        'one coefficient is free, and between all values at which a root '
+        'crosses the limit of stability an unstable one is left'),
+    'shared roots': lambda root: f'all polynomials share the roots {root:.4g}',
+    'not positive': lambda: (
+        'no choice of the free coefficients keeps the polynomial positive where '
+        'that of a stable one is'),
+    'any spectrum': lambda: 'any spectrum can be had, but no design passed all checks',
+    'not found among': lambda free: (
+        f'no stable one was found among those with {free} free coefficients'),
+
+    'ambiguous ranks': _ambiguous_ranks,
+    'exact: there is none': lambda: (
+        'exact arithmetic on the decimals as given decided that there is none: in '
+        'double precision one seems to exist'),
+    'exact: one exists': lambda: (
+        'exact arithmetic on the decimals as given says that a decoupled one exists: '
+        'in double precision it cannot be told from none'),
+    'slower than wanted': _slower_than_wanted,
+    'unsure at rest': lambda terms: f'at rest unsure of {", ".join(terms)}',
+
+    'decoupled': _decoupled,
+    'rows decoupled': _rows_decoupled,
+    'disturbed rung': lambda method, gain: f'{method}, unknown inputs times {gain:.3g}',
+    'alternative': _alternative,
+}
