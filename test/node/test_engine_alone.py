@@ -4,6 +4,7 @@ from dataclasses import replace
 import math
 
 import pytest
+from sensor_msgs.msg import JointState
 
 from vsensor_ros.engine import Composition, Engine
 from vsensor_ros.node import replacer as node_module
@@ -86,6 +87,10 @@ def a_day(r, messages):
     r.step(*messages(0.55), periods=60)
     r.isolate('y2')
     r.step(*messages(0.75, 9.0), periods=8)
+    for topic in ('/y3_raw', '/joint_states_raw'):
+        if topic in r.publishers:
+            r.publishers[topic].publish(b'garbage')
+    r.step(*messages(0.75, 9.0))
     r.replacer.snapshot()
     r.isolate('y1', 'y2')
     r.command(2.0)
@@ -126,13 +131,17 @@ def test_a_bare_engine_says_what_the_node_said(recorded, parameters, joint_param
         y2 = 2.0 * y1 if y2 is None else y2
         if not shared:
             return r.healthy(y1, y2)
-        return [r.arm(y1, y2), r.healthy()[2]]
+        gripper = JointState(name=['gripper'], position=[y1])  # of another driver
+        return [r.arm(y1, y2), r.healthy()[2], ('/joint_states_raw', gripper)]
     heard = r.listen(JOINTS, '/joint_states') if shared else r.listen(RANGE, '/y2')
     a_day(r, messages)
     engine = r.replacer.engine
     made = [m for name, _, _, said in engine.tape if name in ('tick', 'isolate', 'force')
             for m in said]
     assert len(heard) > 100 and len(made) > 50 and isinstance(made[0], Composition)
+    assert any(name == 'unreadable' for name, *_ in engine.tape)
+    assert shared == any(name == 'judge' and given[1].foreign for name, given, _, _ in
+                         engine.tape)
     for name, says, said in played(engine.setup, engine.tape):
         assert bits(says) == bits(said), name
 
