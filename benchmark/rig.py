@@ -30,7 +30,7 @@ from rclpy.qos import QoSProfile
 from benchmark.load import COMMAND_TOPIC, Load, TIMER_TOPIC
 from vsensor_ros import design, Plant
 from vsensor_ros.lab.demo_failover import Failed, reserved_domain
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 0.01  # s, of the virtual sensors

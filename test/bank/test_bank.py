@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 
 MS = 1_000_000
 KEY = (('y1',), 'y1')

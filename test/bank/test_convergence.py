@@ -8,7 +8,7 @@ import pytest
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
 from vsensor_ros.bank.convergence import converge, reading_gains, reading_pushes
-from vsensor_ros.observers.virtual_sensor import Certificate, Noise
+from vsensor_ros.observers import Certificate, Noise
 
 MS = 1_000_000
 KEY = (('y1',), 'y1')

@@ -11,7 +11,7 @@ import pytest
 
 from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.command.designer import main, report
-from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal
+from vsensor_ros.observers import Certificate, Design, Refusal
 
 CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'

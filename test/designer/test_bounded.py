@@ -14,7 +14,7 @@ from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.observer import Candidate
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.functions.nonlinearity import evaluate
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.simulate import simulate
 
 ROOT = Path(__file__).parents[2]

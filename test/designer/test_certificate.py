@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from vsensor_ros import Plant
 from vsensor_ros.designer.certificate import certify
 from vsensor_ros.functions.nonlinearity import evaluate
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 REFERENCE = json.loads((Path(__file__).parents[1] / 'reference.json').read_text())
 TANK = REFERENCE['b_tank_continuous']

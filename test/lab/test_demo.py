@@ -16,7 +16,7 @@ from vsensor_ros.lab import demo_failover, demo_runner
 from vsensor_ros.lab.demo_failover import reserved_domain, Run
 from vsensor_ros.lab.demo_runner import Result, Row, table, told_of, write_summary
 from vsensor_ros.lab.wiring import read_wiring
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.simulate import scenario
 from vsensor_ros.simulate.fault import Channel, freeze
 from vsensor_ros.simulate.judge import Heard

@@ -16,8 +16,7 @@ import pytest
 from vsensor_ros import Design
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.design_file import VERSION
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers import (
     Certificate,
     Noise,
     OrderStep,
@@ -26,6 +25,7 @@ from vsensor_ros.observers.virtual_sensor import (
     Rung,
     VirtualSensor,
 )
+from vsensor_ros.observers.design_file import VERSION
 
 TERM = NonlinearTerm('sign(x2)', 'sign(w1)', np.zeros(1))
 SENSORS = ('y1', 'y2', 'y3')

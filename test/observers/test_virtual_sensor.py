@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers import (
     Certificate,
     Design,
     Noise,

@@ -15,7 +15,7 @@ from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.designer import main
 from vsensor_ros.designer.location import locations
-from vsensor_ros.observers.virtual_sensor import Certificate, Refusal, VirtualSensor
+from vsensor_ros.observers import Certificate, Refusal, VirtualSensor
 from vsensor_ros.report import page as report_module, report_simulation
 from vsensor_ros.report.page import page, write_report
 

@@ -19,7 +19,7 @@ import numpy as np
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.record import Record
 from vsensor_ros.bank.stack import make_stack
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 
 _LONGEST = 1000  # steps that can be taken back, at most
 _REDONE = 4  # steps redone for each new one, in the mean: what late data may cost

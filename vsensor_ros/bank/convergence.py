@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 _LEFT = 0.01  # of the largest: a start of which no more is left counts as forgotten
 _HORIZON = 50.0  # time constants that are looked at

@@ -16,7 +16,7 @@ from vsensor_ros.bank.convergence import (
     region_of,
 )
 from vsensor_ros.bank.step import make_step, pad, Step, widen
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 
 
 @dataclass(frozen=True, eq=False)

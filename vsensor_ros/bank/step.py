@@ -20,7 +20,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
     set_valued,
 )
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 # Takes z (V, k), the readings at both ends of the step (L,), the commands at both ends and their
 # mean (m,), and those that hold from either end on (m,), which readings taken there have seen: not

@@ -14,7 +14,7 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
 from vsensor_ros.designer.design import METHODS
 from vsensor_ros.designer.location import Location, locations
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.report import design_text
 from vsensor_ros.report.page import check_target, write_report

@@ -43,7 +43,7 @@ from vsensor_ros.designer.papers import with_residual
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.stabilise import decay_of
-from vsensor_ros.observers.virtual_sensor import Noise, Refusal, Rung, VirtualSensor
+from vsensor_ros.observers import Noise, Refusal, Rung, VirtualSensor
 from vsensor_ros.plant import Plant
 
 NOISE_FACTOR = 4.0  # the quietest's noise may grow so much for less disturbance

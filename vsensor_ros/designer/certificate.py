@@ -34,7 +34,7 @@ from vsensor_ros.designer.quadratic import (
 from vsensor_ros.designer.slopes import Interval, jumps, slope_bounds_on
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.functions.expression import names, parse, to_text
-from vsensor_ros.observers.virtual_sensor import Certificate, VirtualSensor
+from vsensor_ros.observers import Certificate, VirtualSensor
 from vsensor_ros.plant.plant import affine_node, Plant
 
 INFINITE_SLOPE = 1e100

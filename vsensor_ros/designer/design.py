@@ -27,7 +27,7 @@ from vsensor_ros.designer.order_noise import climb, doubtful
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.start import started
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 
 PREFERENCES = ('quiet', 'least')

@@ -30,7 +30,7 @@ from vsensor_ros.designer.subspaces import (
     rank,
     solve_left,
 )
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 
 NOISE_FACTOR = 2.0  # the fastest within this factor of the quietest is taken
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the observer, against the plant's own mean rate

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
 
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 
 FaultSet = tuple[str, ...]  # in the design's order
 Ready = Callable[[FaultSet, str], bool]

@@ -18,7 +18,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design
 from vsensor_ros.lab.demo_failover import fail_over, Failed, Moment, Run
 from vsensor_ros.lab.demo_picture import draw
-from vsensor_ros.observers.virtual_sensor import Refusal
+from vsensor_ros.observers import Refusal
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.judge import judge, replaced
 from vsensor_ros.simulate.recording import NoRecording

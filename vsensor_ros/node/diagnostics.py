@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from vsensor_ros.engine.state import ChannelState, Health, stands_still
 from vsensor_ros.engine.switch import Policy
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 LEVELS = {
     'real': DiagnosticStatus.OK,

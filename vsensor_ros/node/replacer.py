@@ -36,7 +36,7 @@ from vsensor_ros.node.snapshot import channel_states, health, Rates, source
 from vsensor_ros.node.start import Start
 from vsensor_ros.node.ticks import Ticks
 from vsensor_ros.node.topics import open_streams, Stream, Substitute
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
 OUT_OF_LINE = 4.0  # standard deviations

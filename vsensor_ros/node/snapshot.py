@@ -10,7 +10,7 @@ from vsensor_ros.engine import Source
 from vsensor_ros.engine.channel import NONE, VIRTUAL
 from vsensor_ros.engine.state import ChannelState, Health, stands_still
 from vsensor_ros.node.topics import Stream
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 if TYPE_CHECKING:
     from vsensor_ros.node.replacer import Replacer

@@ -18,7 +18,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, check_text, reason
 from vsensor_ros.functions.expression import check_name
 from vsensor_ros.functions.nonlinearity import check_term, NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers.kinds.functional.virtual_sensor import (
     Certificate,
     Design,
     is_stable,

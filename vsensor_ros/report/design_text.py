@@ -8,7 +8,7 @@ import numpy as np
 
 from vsensor_ros.designer.location import Location
 from vsensor_ros.designer.stabilise import decay_of
-from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal, Rung, VirtualSensor
+from vsensor_ros.observers import Certificate, Design, Refusal, Rung, VirtualSensor
 
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many

@@ -17,7 +17,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.report import design_text, report_simulation

@@ -13,7 +13,7 @@ import numpy as np
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.designer.stabilise import decay_of
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate import simulate
 from vsensor_ros.simulate.simulate import readings

@@ -12,7 +12,7 @@ import yaml
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design as make_design
 from vsensor_ros.lab.wiring import read_wiring, Wiring
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
 
 

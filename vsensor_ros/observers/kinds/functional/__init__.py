@@ -1,0 +1,1 @@
+"""The kind functional: observers of linear functionals of the state."""
