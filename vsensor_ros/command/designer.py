@@ -14,7 +14,7 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
 from vsensor_ros.designer.design import METHODS
 from vsensor_ros.designer.location import Location, locations
-from vsensor_ros.observers import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.report import design_text
 from vsensor_ros.report.page import check_target, write_report
@@ -239,7 +239,10 @@ def _refused(entry: Refusal) -> list[str]:
     return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
 
 
-def _facts(entry: VirtualSensor, unit: str) -> list[str]:
+def _facts(entry: Entry, unit: str) -> list[str]:
+    if not isinstance(entry, VirtualSensor):
+        return [line for name, value in design_text.facts(entry, unit)
+                for line in _hanging(name, value, 18)]
     terms = [entry.terms[i].name for i in entry.active]
     facts = [
         ('order', design_text.order(entry)),

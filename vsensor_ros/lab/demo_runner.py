@@ -80,7 +80,7 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
     if isinstance(virtual, Refusal):
         raise BadInput(folder / 'demo.yaml', 'failed_sensor', f'{failed} cannot be replaced: '
                        f'{virtual.reason}', 'let another sensor fail')
-    say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + virtual.inputs)}, '
+    say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + result.inputs)}, '
         f'order {virtual.order}'
         + (f', {scenario.speed:g} times real time' if scenario.speed != 1.0 else ''))
 

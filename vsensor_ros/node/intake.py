@@ -61,7 +61,7 @@ class Intake:
             if stamp:
                 reason = self._bank.take(command.name, stamp, value, self._clock.now)
                 if reason is not None:
-                    self._log.count(command.name, reason)
+                    self._log.count(command.name, str(reason))
         return count
 
     def _hear(self, stream: Stream, raw: bytes, received: int) -> None:
@@ -101,8 +101,8 @@ class Intake:
                 self._time(channel, stamp - before)
             elif name in self._long:
                 del self._long[name]
-        elif reason != 'isolated':  # what it says then is not worth a word
-            self._log.count(name, reason)
+        elif reason.code != 'isolated':  # what it says then is not worth a word
+            self._log.count(name, str(reason))
 
     def _time(self, channel: Channel, interval: int) -> None:
         """Say once when a sensor is slower than the silence that makes it invalid."""

@@ -286,7 +286,7 @@ class Replacer:
         if reason is None and self._too_uncertain(fault_set, name):
             return (f'its standard deviation {self.bank.deviation(fault_set, name):.3g} is above '
                     f'max_deviation {self.live.max_deviation[name]:.3g}')
-        return reason
+        return None if reason is None else str(reason)
 
     def _decide(self) -> list[Stream]:
         """Let the switch decide, the bank follow; return the streams that changed and so spoke."""

@@ -12,7 +12,6 @@ import warnings
 import numpy as np
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.designer.stabilise import decay_of
 from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate import simulate
@@ -149,7 +148,7 @@ def _estimates(plant: Plant, design: Design, entry: VirtualSensor, period: int, 
         value = bank.estimate(entry.fault_set, entry.channel)
         said.append(np.nan if value is None else value)
     if not np.isfinite(said[-1]):
-        raise NotRun(bank.why_not(entry.fault_set, entry.channel) or 'it says nothing')
+        raise NotRun(str(bank.why_not(entry.fault_set, entry.channel) or 'it says nothing'))
     return np.array(said)
 
 
@@ -158,7 +157,7 @@ def _grid(plant: Plant, entry: VirtualSensor) -> tuple[int, int]:
     own = np.linalg.eigvals(plant.A).astype(complex)
     h = plant.sample_time
     rates = own.real if h is None else np.log(np.maximum(np.abs(own), 1e-12)) / h
-    duration = max(SHOWN / decay_of(entry.eigenvalues, h), 4.0 / _mean_rate(plant))
+    duration = max(SHOWN / entry.decay, 4.0 / _mean_rate(plant))
     if rates.max() > 0:  # else nothing but the plant's own growth would be seen
         duration = min(duration, GROWTH / rates.max())
     if h is not None:

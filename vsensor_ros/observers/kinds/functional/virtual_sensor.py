@@ -1,92 +1,21 @@
 """
-The bridge between the designer and the replacer: virtual sensors, and what is known of each.
+The data of the kind functional: an observer of linear functionals of the plant's state.
 
 Letters are those of the method: order k, p rows of the wanted functional (one for a sensor's
-channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments. How they are written
-to a file is in ``design_file.py``.
+channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-
-
-@dataclass(frozen=True)
-class OrderStep:
-    """What is known of the virtual sensors of one order."""
-
-    order: int
-    verdict: str  # 'impossible', 'possible' or 'open'
-    why: str  # one sentence
-    freedom: int  # free coefficients of the characteristic polynomial; 0 when impossible
-    # largest singular value taken for zero, smallest taken for nonzero (inf: none); relative
-    gap: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Proof:
-    """Between which bounds the least order lies, and why. Source: method, 3.4 and 3.7."""
-
-    lower: int
-    upper: int
-    steps: tuple[OrderStep, ...]
-    doubts: tuple[str, ...]  # decisions on a rank that are ambiguous
-
-    @property
-    def least(self) -> bool:
-        """Whether the least order is known."""
-        return self.lower == self.upper
-
-
-@dataclass(frozen=True)
-class Rung:
-    """One order of the ladder that a person may choose from, and what it costs."""
-
-    order: int
-    noise: float  # standard deviation of the error of vhat in steady state, unit of the channel
-    noise_gain: float  # as that of the virtual sensor
-    decay: float  # 1/s; inf when there is nothing that must die out
-    method: str
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What the noise of sensors and process does to vhat in steady state."""
-
-    error: float  # standard deviation of v - vhat, unit of the channel
-    floor: float  # the same for the Kalman filter on the same healthy sensors; inf: it has none
-    assumed: bool  # whether some noise figures are defaults, not given
-
-    @property
-    def ratio(self) -> float:
-        """Return error / floor: 1 when both are 0, inf when only the floor is."""
-        if self.floor == 0.0:
-            return 1.0 if self.error == 0.0 else np.inf
-        return self.error / self.floor
-
-
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """What is proved of the error ``e = Phi x - z`` with its nonlinear terms (method, 3.5)."""
-
-    status: str  # 'global', 'region' or 'none'
-    rate: float  # 1/s at which the error is proved to decay; 0 when none
-    bound: float  # sup |v - vhat| per unit of sup |error of the readings|; inf when none
-    S: np.ndarray  # (k, k), of V = e' S e; zeros when none
-    # where it holds: (argument of a term, low, high), in the argument's unit; empty when global
-    region: tuple[tuple[str, float, float], ...]
-    lipschitz: tuple[float, float] | None  # the papers' condition holds when left < right
-    reason: str  # one sentence
-
-    def __post_init__(self) -> None:
-        self.S.flags.writeable = False
+from vsensor_ros.observers.kinds.functional.argument_name import argument_name
+from vsensor_ros.observers.knowledge import Certificate, Noise, Proof, Rung
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +29,8 @@ class VirtualSensor:
     B = Phi B_plant - J Cu0, P = Phi P_plant, Gu_i = -Gy_i Cu0, Qu = Vu - Q Cu0.
     Source: equations (E1) to (E4) of the method.
     """
+
+    kind: ClassVar[str] = 'functional'
 
     channel: str  # the sensor it stands in for, or the wanted functional
     fault_set: tuple[str, ...]  # the sensors that have failed, in the plant's order
@@ -145,9 +76,23 @@ class VirtualSensor:
                     array.flags.writeable = False
 
     @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of what it says."""
+        return (self.channel,)
+
+    @property
     def order(self) -> int:
         """Number of states."""
         return self.N.shape[0]
+
+    @property
+    def decay(self) -> float:
+        """Slowest rate [1/s] at which a linear error dies out; inf without states."""
+        if not self.order:
+            return np.inf
+        if self.sample_time is None:
+            return float(-self.eigenvalues.real.max())
+        return float(-np.log(max(np.abs(self.eigenvalues).max(), 1e-12)) / self.sample_time)
 
     @property
     def active(self) -> tuple[int, ...]:
@@ -168,101 +113,13 @@ class VirtualSensor:
         used = np.vstack([self.J, self.Q, *(self.Gy[i] for i in self.active)]).any(axis=0)
         return tuple(self.healthy[i] for i in np.flatnonzero(used))
 
-
-@dataclass(frozen=True)
-class Refusal:
-    """Why a channel cannot be replaced when a set of sensors has failed."""
-
-    channel: str
-    fault_set: tuple[str, ...]
-    reason: str  # one sentence, in the user's names
-    doubts: tuple[str, ...] = ()  # decisions on a rank that are ambiguous
-    alternative: str = ''  # one sentence: there is one that unknown inputs disturb, bounded
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """All virtual sensors of one plant, by fault set and channel."""
-
-    plant_name: str
-    plant_hash: str
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    sensors: tuple[str, ...]
-    units: dict[str, str]
-    sample_time: float | None
-    entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal]
-    wanted: tuple[str, ...] = ()  # functionals that are no sensors: their fault set may be ()
-    Cu: np.ndarray | None = None  # (l, m) what sensors read directly of inputs; None: not known
-
-    def __post_init__(self) -> None:
-        if self.Cu is not None:
-            self.Cu.flags.writeable = False
-
-    def __getitem__(self, key: tuple[Iterable[str], str]) -> VirtualSensor | Refusal:
-        """
-        Look up ``design[fault_set, channel]``; raise KeyError when it was not designed.
-
-        ``design[(), 'v']`` is the wanted functional v with all sensors healthy.
-        """
-        try:
-            fault_set, channel = key if isinstance(key, tuple) else ()
-            names = {fault_set} if isinstance(fault_set, str) else set(fault_set)
-            unknown = sorted(map(str, (names | ({channel} - set(self.wanted)))
-                                 - set(self.sensors)))
-        except (TypeError, ValueError):
-            raise KeyError(f'{key!r:.80}: is not a fault set and a channel; write '
-                           "design[('y1', 'y2'), 'y1']") from None
-        if unknown:
-            wanted = f' and, wanted, {", ".join(self.wanted)}' if self.wanted else ''
-            raise KeyError(f'{", ".join(unknown)}: no such sensor; there are '
-                           f'{", ".join(self.sensors)}{wanted}')
-        ordered = tuple(name for name in self.sensors if name in names)
-        if channel in self.sensors and channel not in names:
-            raise KeyError(f'channel {channel} of fault set {{{", ".join(ordered)}}}: has not '
-                           'failed there; name it in the fault set, too')
-        try:
-            return self.entries[ordered, channel]
-        except KeyError:
-            designed = ', '.join('{' + ', '.join(s) + '}' for s in self.fault_sets)
-            raise KeyError(f'channel {channel} of fault set {{{", ".join(ordered)}}} was not '
-                           f'designed; the fault sets are {designed}') from None
-
     @property
-    def fault_sets(self) -> tuple[tuple[str, ...], ...]:
-        """The sets of failed sensors that were designed for; () when something is wanted."""
-        return tuple(dict.fromkeys(fault_set for fault_set, _ in self.entries))
-
-    @property
-    def virtual_sensors(self) -> tuple[VirtualSensor, ...]:
-        """All virtual sensors, those of wanted functionals too, without the refusals."""
-        return tuple(e for e in self.entries.values() if isinstance(e, VirtualSensor))
-
-    @property
-    def refusals(self) -> tuple[Refusal, ...]:
-        """All refusals."""
-        return tuple(e for e in self.entries.values() if isinstance(e, Refusal))
-
-    def save(self, path: str | Path) -> None:
-        """
-        Write the design file; the old file stays whole until the new one is complete.
-
-        A link stays a link, a pipe or a device is written into. Raises BadInput when the file
-        cannot be written, or when it would not be loaded.
-        """
-        from vsensor_ros.observers.design_file import write  # which is made of the classes above
-        write(self, path)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Design:
-        """
-        Read a design file without executing anything in it.
-
-        Raises BadInput, one line, when the file is missing, malformed, of another version, not
-        finite, inconsistent in itself or unstable.
-        """
-        from vsensor_ros.observers.design_file import read
-        return read(path)
+    def region(self) -> tuple[tuple[str, float, float], ...]:
+        """Where its certificate holds: arguments and commands by name, with their limits."""
+        limits = () if self.certificate is None else self.certificate.region
+        return tuple((self.inputs[argument] if term is None
+                      else argument_name(self.terms[term], argument), low, high)
+                     for term, argument, low, high in limits)
 
 
 def is_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:
