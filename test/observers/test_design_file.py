@@ -343,6 +343,47 @@ def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written)
     assert len(read.entries) == len(example().entries)
 
 
+def test_a_file_of_version_3_is_the_same_design(tmp_path):
+    """Written by the designer, of config/three_tank, before there were kinds."""
+    golden = Path(__file__).with_name('three_tank.version_3.json')
+    record, loaded = json.loads(golden.read_text()), Design.load(golden)
+    assert record['version'] == 3
+    loaded.save(tmp_path / 'new.json')
+    for read in (loaded, Design.load(tmp_path / 'new.json')):
+        assert read.plant_hash == record['plant']['hash'] and len(read.entries) == 2
+        for entry in record['entries']:
+            v = read[entry['fault_set'], entry['channel']]
+            assert v.kind == 'functional' and v.outputs == (v.channel,)
+            for key in ('Phi', 'N', 'J', 'B', 'P', 'Cv', 'Q', 'Qu', 'z0', 'z0_gain', 'start'):
+                assert getattr(v, key).tolist() == entry[key]
+            for key in ('order', 'method', 'grade', 'noise_gain', 'disturbance_gain'):
+                assert getattr(v, key) == entry[key]
+            for term, text, gz, gy, gu in zip(entry['terms'], v.terms, v.Gz, v.Gy, v.Gu):
+                assert [term['name'], term['function'], term['Gz'], term['Gy'], term['Gu']] == [
+                    text.name, text.text, gz.tolist(), gy.tolist(), gu.tolist()]
+            # the region is of the arguments that its texts name
+            assert v.certificate.status == 'region' and len(v.certificate.region) == 2
+            assert v.region == tuple((limit['name'], limit['low'], limit['high'])
+                                     for limit in entry['certificate']['region'])
+            assert [loaded[v.fault_set, v.channel].terms[limit.term].name
+                    for limit in v.certificate.region] == [
+                        f"sqrt({limit['name']})" for limit in entry['certificate']['region']]
+
+
+def test_an_old_region_lists_equal_arguments_once_and_then_commands(tmp_path):
+    golden = Path(__file__).with_name('three_tank.version_3.json')
+    record = json.loads(golden.read_text())
+    entry = record['entries'][0]
+    entry['terms'].append({**entry['terms'][1], 'name': 'once more'})
+    entry['P'] = [[*row, row[1]] for row in entry['P']]
+    entry['certificate']['region'].append({'name': 'u2', 'low': None, 'high': 2.0})
+    path = tmp_path / 'old.json'
+    path.write_text(json.dumps(record))
+    v = Design.load(path)['y1', 'y1']
+    assert [limit[:2] for limit in v.certificate.region] == [(0, 0), (1, 0), (None, 1)]
+    assert v.region[2] == ('u2', -np.inf, 2.0)
+
+
 @pytest.mark.parametrize('text', ['NaN', 'Infinity', '-Infinity'])
 def test_not_finite_is_refused_by_the_parser(written, text):
     record = written.read_text()

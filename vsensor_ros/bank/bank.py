@@ -31,6 +31,7 @@ class Bank(Steps):
                          for (fault_set, channel), entry in design.entries.items()}
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
+        self._of: list[int] = self._batch.of.tolist()
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -50,7 +51,7 @@ class Bank(Steps):
         """Return the time [ns] since which the virtual sensor has been running, or None."""
         output = self._running(fault_set, channel)
         return None if output is None else self._at(
-            int(self._past[-1].since[self._batch.of[output]]))
+            int(self._past[-1].since[self._of[output]]))
 
     def ready(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether the virtual sensor runs, has forgotten its start, and may be used."""
@@ -166,7 +167,7 @@ class Bank(Steps):
                 return Reason.of('converging' if proved else 'converging, not proved',
                                  seconds=wait)
             return self._invalid(output)
-        missing = self._told.missing(self._batch.starts_on[self._batch.of[output]], self._now)
+        missing = self._told.missing(self._batch.starts_on[self._of[output]], self._now)
         if missing is not None:
             return missing
         if self._running(fault_set, channel) is not None:
@@ -193,12 +194,12 @@ class Bank(Steps):
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
         return output if output is not None and self._past \
-            and self._past[-1].running[self._batch.of[output]] else None
+            and self._past[-1].running[self._of[output]] else None
 
     def _age(self, output: int) -> float:
         """Return for how long [s] the virtual sensor of an output has been running."""
         state = self._past[-1]
-        return float(state.tick - state.since[self._batch.of[output]]) * self.period * 1e-9
+        return float(state.tick - state.since[self._of[output]]) * self.period * 1e-9
 
     def _waiting(self, output: int) -> float:
         return self._batch.waiting(output, self._past[-1].z, self._age(output))
@@ -216,7 +217,7 @@ class Bank(Steps):
         if reading is None or not self._past or reading[0] < self._past[0].tick:
             return None
         state = self._past[reading[0] - self._past[0].tick]
-        if not state.running[self._batch.of[output]]:
+        if not state.running[self._of[output]]:
             return None
         value = float(reading[1] - self._estimates_at(state)[output])
         return value if math.isfinite(value) else None

@@ -66,18 +66,19 @@ class Measured:
             self.record.add(int(ticks[-1]), readings[:, own] - estimates, counts, told.y, there)
         self.base = self.record.in_steady_state()
 
-    def look_for_gap(self, name: str, gap: int, tick: int | None) -> None:
-        """
-        Note what outputs that went on may have missed in an unusually long interval [ns].
+    def is_usual(self, name: str, interval: int) -> bool:
+        """Tell whether a sensor's reading came about as soon [ns] after the last as always."""
+        usual = self._usual[name]
+        if interval > _GAP * usual:
+            return False
+        self._usual[name] = max(3 * self._period, usual + (interval - usual) // 8)
+        return True
 
-        tick: that of the state; None when there is none.
-        """
-        usual, age = self._usual[name], self._ages[name]
-        if gap <= _GAP * usual:
-            self._usual[name] = max(3 * self._period, usual + (gap - usual) // 8)
-        elif gap <= age and tick is not None:
-            self._usual[name] = min(2 * usual, gap)
-            ages = np.array([gap * 1e-9 * (s == name) for s in self._ages])
+    def miss(self, name: str, interval: int, tick: int) -> None:
+        """Note what outputs that went on may have missed in an unusually long interval [ns]."""
+        if interval <= self._ages[name]:
+            self._usual[name] = min(2 * self._usual[name], interval)
+            ages = np.array([interval * 1e-9 * (s == name) for s in self._ages])
             slopes = np.nan_to_num(self.record.slope)
             with np.errstate(all='ignore'):
                 more = self._batch.reach(slopes, ages, False)

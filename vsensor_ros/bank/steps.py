@@ -131,8 +131,9 @@ class Steps:
             self._origin = int(stamp)
         stamps = self._told.samples[name].stamps
         if len(stamps) > 1 and name in self._told.ages:
-            self._measured.look_for_gap(name, stamps[-1] - stamps[-2],
-                                        self._past[-1].tick if self._past else None)
+            interval = stamps[-1] - stamps[-2]
+            if not self._measured.is_usual(name, interval) and self._past:
+                self._measured.miss(name, interval, self._past[-1].tick)
         before = (changed - 1 - self._origin) // self.period
         if self._past and before < self._past[0].tick and name in self._told.ages and \
                 stamp + self._told.ages[name] < self._at(self._past[0].tick):

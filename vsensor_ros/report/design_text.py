@@ -104,8 +104,8 @@ def state_of(entry: Entry | Refusal) -> str:
     done = 'replaced' if entry.channel in entry.fault_set else 'computed'
     if isinstance(entry, Refusal):
         return f'cannot be {done}'
-    return f'can be {done}' + ('' if entry.grade == 'exact'
-                               else ' within a bound, disturbed by unknown inputs')
+    return f'can be {done}' + (' within a bound, disturbed by unknown inputs'
+                               if entry.grade == 'bounded' else '')
 
 
 def order(entry: Entry) -> str:
