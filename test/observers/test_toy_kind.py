@@ -62,11 +62,11 @@ class Constants(Batch):
         limit = self.entries[self.of[output]].good_for
         return Reason.of('expired', seconds=limit) if age > limit else None
 
-    def deviation(self, output, z, age):
+    def deviation(self, output, z, told, age):
         return self.entries[self.of[output]].growth * age
 
     def interval(self, output, z, told, age):
-        reach = 3.0 * self.deviation(output, z, age)
+        reach = 3.0 * self.deviation(output, z, told, age)
         return self.values[output] - reach, self.values[output] + reach
 
 

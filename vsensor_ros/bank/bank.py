@@ -97,7 +97,8 @@ class Bank(Steps):
             self._unseen = self._measured.unseen(
                 state.tick, self._told.ages_at(self._at(state.tick)))
         found = math.hypot(self._measured.base[output], self._unseen[output],
-                           self._batch.deviation(output, state.z, self._age(output)))
+                           self._batch.deviation(output, state.z, state.told,
+                                                 self._age(output)))
         return math.inf if math.isnan(found) else found
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:

@@ -101,10 +101,10 @@ class Composite(Batch):
         part, own, z = self._own(output, z)
         return part.outside_region(own, z, told)
 
-    def deviation(self, output: int, z: np.ndarray, age: float) -> float:
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Ask the kind."""
         part, own, z = self._own(output, z)
-        return part.deviation(own, z, age)
+        return part.deviation(own, z, told, age)
 
     def interval(self, output: int, z: np.ndarray, told: Told,
                  age: float) -> tuple[float, float] | None:

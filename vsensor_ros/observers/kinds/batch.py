@@ -77,7 +77,7 @@ class Batch(ABC):
         """Tell whether it runs where nothing is proved of it."""
         return False
 
-    def deviation(self, output: int, z: np.ndarray, age: float) -> float:
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Return the standard deviation at an age [s], beside `error` and what was measured."""
         return 0.0
 

@@ -63,7 +63,7 @@ class FunctionalBatch(Batch):
             w = w + region.Gu @ told.held
         return bool((w < region.low).any() or (w > region.high).any())
 
-    def deviation(self, output: int, z: np.ndarray, age: float) -> float:
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Return what is left of the unknown start."""
         return self.convergence[output].deviation(age)
 
