@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from benchmark.row import Row
 from vsensor_ros.bank import Bank
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 
 GROUP = ('one tick of the bank, orders 1 to 4, nonlinear with a square root each; '
          'peer: numpy Luenberger observers, one by one')

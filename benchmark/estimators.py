@@ -33,7 +33,7 @@ from benchmark.row import Row
 from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bank import Bank
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.simulate import simulate
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config'

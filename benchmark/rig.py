@@ -32,7 +32,7 @@ from vsensor_ros.lab.domain import (
     take,
 )
 from vsensor_ros.lab.process import Failed, Process
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 PERIOD = 0.01  # s, of the virtual sensors
 READY_WITHIN = 30.0  # s

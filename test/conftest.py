@@ -17,7 +17,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 
 PATIENT = {'deadline': None, 'suppress_health_check': [HealthCheck.too_slow]}
 

@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vsensor_ros.designer import design
-    from vsensor_ros.observers.virtual_sensor import Design
+    from vsensor_ros.observers import Design
     from vsensor_ros.plant import load_plant, Plant
 
 __all__ = ['Design', 'Plant', 'design', 'load_plant']
@@ -24,6 +24,6 @@ def __getattr__(name: str) -> Any:
         from vsensor_ros import plant
         return getattr(plant, name)
     if name == 'Design':
-        from vsensor_ros.observers.virtual_sensor import Design
+        from vsensor_ros.observers import Design
         return Design
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

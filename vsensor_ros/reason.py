@@ -28,6 +28,7 @@ SENTENCES = {
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
+    'expired': 'no longer good after {seconds:.1f} s',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
     # of faulty sensors: why they are not believed

@@ -27,7 +27,7 @@ def test_a_time_is_confirmed_once_every_live_sensor_has_spoken():
 def test_a_stamp_is_ahead_of_the_present_not_of_the_last_step():
     bank = make_bank()
     bank.advance(SECOND)
-    assert bank.take('y1', 5 * SECOND, 1.0) == 'stamp ahead of the clock'
+    assert str(bank.take('y1', 5 * SECOND, 1.0)) == 'stamp ahead of the clock'
     assert bank.take('y1', 5 * SECOND, 1.0, now=5 * SECOND) is None
 
 
@@ -36,7 +36,7 @@ def test_the_later_of_two_commands_at_one_time_counts():
     for name in ('y1', 'y2', 'u1'):
         assert bank.take(name, SECOND, 0.0) is None
     assert bank.take('u1', SECOND, 1.0) is None
-    assert bank.take('y1', SECOND, 1.0) == 'duplicate stamp'
+    assert str(bank.take('y1', SECOND, 1.0)) == 'duplicate stamp'
     for t in (0.1, 0.2, 0.3):  # x2' = -2 x2 + 1, x1' = -x1 + x2, both from 0
         x1 = 0.5 - np.exp(-t) + 0.5 * np.exp(-2 * t)
         bank.take('y1', SECOND + round(t * SECOND), x1)

@@ -7,8 +7,8 @@ import pytest
 
 from vsensor_ros import Plant
 from vsensor_ros.bank import Bank
-from vsensor_ros.bank.step import make_step
 from vsensor_ros.engine import Source, Switch
+from vsensor_ros.observers.kinds.functional.step import make_step
 from vsensor_ros.simulate.simulate import readings, simulate
 
 MS = 1_000_000
@@ -219,7 +219,7 @@ def test_a_command_read_by_the_output_alone_is_waited_for_and_counts_from_its_st
     bank = Bank(bench.design(v, inputs=('idle', 'u')), 100)
     bank.take('y2', 0, 1.0)
     bank.advance(10 * MS)
-    assert bank.why_not(('y1',), 'y1') == 'no command of u yet'
+    assert str(bank.why_not(('y1',), 'y1')) == 'no command of u yet'
     bank.take('u', 20 * MS, 1.0)
     bank.advance(20 * MS)
     assert bank.estimate(('y1',), 'y1') == 12.0
@@ -254,9 +254,9 @@ def test_wanted_functionals_are_stepped(bench, wanted):
     for key, gain in ((((), 'v'), 3.0), ((('y1',), 'v'), 3.0), ((('y1',), 'y1'), 1.0)):
         found = bench.run(Bank(wanted, 100), key, 100, ones, {})
         np.testing.assert_allclose(found, gain * (1 - np.exp(-np.arange(501) / 100)), atol=1e-12)
-    assert bank.why_not((), 'v') == 'no reading of y1 yet'
-    assert bank.why_not(('y2',), 'v') == 'no design for v when y2 failed'
-    assert bank.why_not((), 'y1') == 'no design for y1 when nothing failed'
+    assert str(bank.why_not((), 'v')) == 'no reading of y1 yet'
+    assert str(bank.why_not(('y2',), 'v')) == 'no design for v when y2 failed'
+    assert str(bank.why_not((), 'y1')) == 'no design for y1 when nothing failed'
     assert bank.sensors == ('y1', 'y2')
 
 
@@ -264,7 +264,7 @@ def test_wanted_functionals_of_several_rows_are_left_out(bench, wanted):
     bank = Bank(wanted, 100)
     found = bench.run(bank, ((), 'w'), 100, {'y1': np.ones(5), 'y2': np.ones(5)}, {})
     assert np.isnan(found).all() and bank.started((), 'w') is None
-    assert bank.why_not((), 'w') == 'w has 2 rows; design one for each'
+    assert str(bank.why_not((), 'w')) == 'w has 2 rows; design one for each'
     assert bank.estimate((), 'v') is not None
 
 

@@ -35,19 +35,19 @@ def test_who_has_read_it_stops_and_starts_anew_when_it_is_back(two):
     for key in (A, B):  # vb started from it
         assert bank.estimate(*key) is None and bank.deviation(*key) == np.inf
         assert (bank.ready(*key), bank.waiting(*key)) == (False, np.inf)
-        assert bank.why_not(*key) == 'a is isolated'
+        assert str(bank.why_not(*key)) == 'a is isolated'
     run(bank, range(4000, 5000, 10), a=99.0)
-    assert bank.take('a', 4995 * MS, 99.0) == 'isolated'
+    assert str(bank.take('a', 4995 * MS, 99.0)) == 'isolated'
     assert bank.estimate(*A) is None
     assert not bank.refused
     bank.distrust(())
-    assert bank.why_not(*A) == 'no reading of a yet'
-    assert bank.take('a', 4980 * MS, 99.0) == 'isolated'  # from before it was trusted
+    assert str(bank.why_not(*A)) == 'no reading of a yet'
+    assert str(bank.take('a', 4980 * MS, 99.0)) == 'isolated'  # from before it was trusted
     run(bank, range(5000, 5500, 10))
     assert bank.started(*A) == bank.started(*B) == 5000 * MS
     assert bank.estimate(*A) == pytest.approx(1 - np.exp(-2 * 0.49), abs=1e-9)  # from 0, not 99
     assert bank.estimate(*B) == pytest.approx(1 + 2 * np.exp(-2 * 0.49), abs=1e-9)
-    assert not bank.ready(*A) and bank.why_not(*A).startswith('converging')
+    assert not bank.ready(*A) and str(bank.why_not(*A)).startswith('converging')
     run(bank, range(5500, 9000, 10))
     assert bank.ready(*A)
     assert not bank.refused
@@ -62,7 +62,7 @@ def test_the_complete_set_is_told_and_only_known_names(two):
     bank.distrust({'b'})
     run(bank, range(500, 700, 10))
     assert bank.started(*A) == 500 * MS
-    assert bank.why_not(*B) == 'b is isolated'
+    assert str(bank.why_not(*B)) == 'b is isolated'
     for names in ({'nobody'}, {'a', 'nobody'}):
         with pytest.raises(KeyError, match='nobody: no such sensor'):
             bank.distrust(names)
@@ -76,7 +76,7 @@ def test_it_outlives_jumps_of_the_clock(two):
     run(bank, range(20_000, 20_500, 10))
     run(bank, range(5_000, 5_500, 10))
     assert bank.jumps == {'forwards': 1, 'backwards': 1}
-    assert bank.estimate(*A) is None and bank.why_not(*A) == 'a is isolated'
+    assert bank.estimate(*A) is None and str(bank.why_not(*A)) == 'a is isolated'
     bank.distrust(())
     run(bank, range(5_500, 5_600, 10))
     assert bank.started(*A) == 5500 * MS
@@ -88,13 +88,13 @@ def test_what_was_read_before_it_is_trusted_is_refused_after_a_reset_too(two):
     bank.distrust({'a'})
     run(bank, range(5000, 6000, 100), a=99.0)
     bank.distrust(())  # 80 ms after the last tick
-    assert bank.take('a', 5970 * MS, 99.0, 5980 * MS) == 'isolated'
+    assert str(bank.take('a', 5970 * MS, 99.0, 5980 * MS)) == 'isolated'
     bank.reset()
     bank.distrust(())
-    assert bank.take('a', 5980 * MS, 99.0, 5990 * MS) == 'isolated'
+    assert str(bank.take('a', 5980 * MS, 99.0, 5990 * MS)) == 'isolated'
     assert bank.take('a', 6000 * MS, 1.0, 6000 * MS) is None
     bank.reset()
-    assert bank.take('a', 5990 * MS, 99.0) == 'isolated'  # though it has been read since
+    assert str(bank.take('a', 5990 * MS, 99.0)) == 'isolated'  # though it has been read since
     run(bank, range(1000, 2000, 100))  # a clock that was set back
     assert bank.started(*A) <= 1100 * MS
 

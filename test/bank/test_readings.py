@@ -18,8 +18,8 @@ def filled(stamps, values):
 
 def test_refuses_what_is_not_later():
     samples = filled([10, 20], [1.0, 2.0])
-    assert samples.add(20, 3.0) == 'duplicate stamp'
-    assert samples.add(15, 3.0) == 'stamp runs backwards'
+    assert str(samples.add(20, 3.0)) == 'duplicate stamp'
+    assert str(samples.add(15, 3.0)) == 'stamp runs backwards'
     assert samples.stamps == [10, 20]
 
 

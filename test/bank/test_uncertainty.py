@@ -5,7 +5,7 @@ import pytest
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
-from vsensor_ros.observers.virtual_sensor import Noise
+from vsensor_ros.observers import Noise
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.simulate import readings, simulate
 

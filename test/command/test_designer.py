@@ -11,7 +11,7 @@ import pytest
 
 from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.command.designer import main
-from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal
+from vsensor_ros.observers import Certificate, Design, Limit, Refusal
 from vsensor_ros.report.design_answer import answer
 
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -175,7 +175,7 @@ def test_a_block_says_what_the_design_says():
     result = design(load_plant(CONFIG / 'three_tank' / 'plant.yaml'))
     v = result['y1', 'y1']
     ladder = (v.ladder[0], replace(v.ladder[0], order=5, noise=0.0125, decay=0.5))
-    certificate = Certificate('region', 0.11, 2.5, np.eye(v.order), (('level1 - level2', 0.1, 3),),
+    certificate = Certificate('region', 0.11, 2.5, np.eye(v.order), (Limit(0, 0, 0.1, 3),),
                               (2.35, 0.25), 'it contracts')
     v = replace(v, ladder=ladder, certificate=certificate,
                 proof=replace(v.proof, lower=1, doubts=('order 1: a close call',)))

@@ -16,7 +16,7 @@ from vsensor_ros.designer.problem import pose
 from vsensor_ros.designer.relaxation import EXACT, NOISE_FACTOR
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.functions.nonlinearity import evaluate
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.simulate import simulate
 
 ROOT = Path(__file__).parents[2]

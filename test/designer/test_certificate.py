@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from vsensor_ros import Plant
 from vsensor_ros.designer.certificate import certify
 from vsensor_ros.functions.nonlinearity import evaluate
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import Limit, VirtualSensor
 
 REFERENCE = json.loads((Path(__file__).parents[1] / 'reference.json').read_text())
 TANK = REFERENCE['b_tank_continuous']
@@ -216,8 +216,10 @@ def test_tank_has_the_reference_rate_and_the_papers_condition_fails():
     wanted = TANK['certificate_paper_observer']['lmi_alpha']
     assert c.status == 'region'
     assert c.rate == pytest.approx(wanted, rel=1e-3) and c.rate <= wanted * (1 + 1e-6)
-    assert c.region == (('level1 - level2', pytest.approx(0.1), pytest.approx(3.0)),
-                        ('level2 - level3', pytest.approx(0.1), pytest.approx(3.0)))
+    assert c.region == (Limit(0, 0, pytest.approx(0.1), pytest.approx(3.0)),
+                        Limit(1, 0, pytest.approx(0.1), pytest.approx(3.0)))
+    assert [name for name, *_ in replace(sensor, certificate=c).region] == [
+        'level1 - level2', 'level2 - level3']
     assert 'only while plant and estimate both keep' in c.reason
     assert c.lipschitz == pytest.approx((2.35, 0.25), abs=0.005)
     assert c.lipschitz[0] > c.lipschitz[1]
@@ -245,10 +247,12 @@ def test_tank_error_falls_at_the_certified_rate_from_random_starts():
 
 
 def test_tank_without_ranges_is_certified_about_its_operating_point():
-    c = certify(*tank())
+    plant, sensor = tank()
+    c = certify(plant, sensor)
     assert c.status == 'region' and c.rate > 0.01
     at = dict(zip(('level1 - level2', 'level2 - level3'), (1.0, 2.0)))
-    assert all(low < at[name] < high for name, low, high in c.region)
+    assert all(low < at[name] < high
+               for name, low, high in replace(sensor, certificate=c).region)
 
 
 def test_servo_with_friction_is_certified_everywhere_and_against_friction_not():
@@ -294,7 +298,7 @@ def test_tank_with_empty_levels_relies_on_the_monotone_square_root():
     plant, sensor = tank(ranges=[[0, 10]] * 3)
     c = certify(plant, sensor)
     assert c.status == 'region' and c.lipschitz is None and np.isfinite(c.bound)
-    assert c.region == (('level1 - level2', -10.0, 10.0), ('level2 - level3', -10.0, 10.0))
+    assert c.region == (Limit(0, 0, -10.0, 10.0), Limit(1, 0, -10.0, 10.0))
     assert c.rate >= 0.5 / 10**0.5 * (3 - 5**0.5) / 2 * (1 - 1e-3)
     rng = np.random.default_rng(7)
     for s in rng.uniform(0.5 / 10**0.5, rng.choice([1.0, 1e6], size=(200, 1)), size=(200, 2)):
@@ -325,12 +329,12 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
     c = certify(plant, sensor)
     slowest = 1 - 0.1 * (0.5 / 3.75**0.5 + 0.5)
     assert c.status == 'region' and c.rate == pytest.approx(-np.log(slowest))
-    assert c.region == (('x2 - x3', 1.0, 3.75), ('x3', 0.25, 1.0))
+    assert replace(sensor, certificate=c).region == (('x2 - x3', 1.0, 3.75), ('x3', 0.25, 1.0))
     assert c.lipschitz is not None
     # plant noise-free, readings of x2 off by 1 at most: e+ = .. - 0.1 s2 n
     assert 0.1 * 0.5 / (1 - slowest) <= c.bound <= 3 * 0.1 * 0.5 / (1 - slowest)
     steep = certify(replace(plant, ranges=np.array([[0.0, 9], [0, 4], [0, 4]])), sensor)
-    assert steep.status == 'none' or all(low > 0 for _, low, _ in steep.region)
+    assert steep.status == 'none' or all(limit.low > 0 for limit in steep.region)
 
 
 # --------------------------------------------------------------------------- properties
@@ -438,7 +442,8 @@ def test_product_of_two_estimates_is_certified_in_a_box():
                            [np.eye(2)], [np.zeros((2, 1))], ranges=[[-1, 1], [0, 2], [-1, 1]])
     c = certify(plant, sensor)
     assert c.status == 'region'
-    assert c.region == (('x1', -1.0, 1.0), ('x2', 0.0, 2.0))
+    assert c.region == (Limit(0, 0, -1.0, 1.0), Limit(0, 1, 0.0, 2.0))
+    assert [name for name, *_ in replace(sensor, certificate=c).region] == ['x1', 'x2']
     for w1, w2 in ((-1, 0), (1, 0), (-1, 2), (1, 2)):
         A = sensor.N + np.outer(sensor.P[:, 0], [w2, w1])
         assert np.linalg.eigvalsh(c.S @ A + A.T @ c.S + 2 * c.rate * c.S)[-1] <= 1e-9
@@ -448,8 +453,9 @@ def test_an_input_in_a_term_is_confined_too():
     plant, sensor = system([[-1.0]], [[1.0]], ['w1*u1'], [[0.5]], [[[1.0]]], [[[0.0]]],
                            inputs=1, operating_input=[1.0], operating_point=[1.0, 1.0])
     c = certify(plant, sensor)
-    assert c.status == 'region' and [name for name, *_ in c.region] == ['x1', 'u1']
-    assert c.rate == pytest.approx(1 - 0.5 * c.region[1][2])
+    assert c.status == 'region' and [name for name, *_ in replace(
+        sensor, certificate=c).region] == ['x1', 'u1']
+    assert c.rate == pytest.approx(1 - 0.5 * c.region[1].high)
 
 
 @pytest.mark.parametrize(('text', 'P', 'ranges', 'words'), [

@@ -22,7 +22,7 @@ import pytest
 
 from vsensor_ros import design, load_plant
 from vsensor_ros.bank import Bank
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.simulate import simulate
 
 ROOT = Path(__file__).parents[2]

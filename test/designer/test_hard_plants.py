@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 
 
 def only(plant, fault_set, channel):

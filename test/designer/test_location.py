@@ -7,7 +7,7 @@ import pytest
 from vsensor_ros import design, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.location import locations
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 # rho -> x1 -> x2 -> x3, and x4 by itself; y1 = x2, y2 = x3
 CHAIN = np.array([[-1, 0, 0, 0], [1, -1, 0, 0], [0, 1, -1, 0], [0, 0, 0, -2.0]])

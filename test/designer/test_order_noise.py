@@ -12,7 +12,7 @@ from vsensor_ros.designer.order import families
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.designer.quotient import quotient
 from vsensor_ros.designer.stabilise import decay_of, stable_members
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 
 
 def heat_rod():

@@ -9,7 +9,7 @@ import pytest
 from vsensor_ros import design, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.subspaces import conditioned_invariant
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 
 @st.composite

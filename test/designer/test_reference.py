@@ -13,7 +13,7 @@ from vsensor_ros.designer.existence import examine, forced_closure
 from vsensor_ros.designer.observer import build, Candidate, close_loop, equation_residuals
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.designer.subspaces import in_row_space
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 
 REFERENCE = json.loads((Path(__file__).parents[1] / 'reference.json').read_text())
 TANK, SERVO = REFERENCE['b_tank_continuous'], REFERENCE['a_servo']

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from vsensor_ros.engine import Decision, Policy, Source, Switch
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 NAMES = ('a', 'b', 'c')

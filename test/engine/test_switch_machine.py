@@ -7,7 +7,7 @@ from hypothesis import settings, strategies as st
 from hypothesis.stateful import initialize, rule, RuleBasedStateMachine, run_state_machine_as_test
 
 from vsensor_ros.engine import Policy, Source, Switch
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 
 NAMES = ('a', 'b', 'c', 'd')
 SECOND = 1_000_000_000

@@ -18,7 +18,7 @@ from vsensor_ros.lab.demo_runner import Result, Row, table, told_of, write_summa
 from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.wiring import wiring_of
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.simulate import scenario
 from vsensor_ros.simulate.fault import Channel, freeze
 from vsensor_ros.simulate.judge import Heard

@@ -38,7 +38,7 @@ from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.polling import drain, Polled, subscribe
 from vsensor_ros.node.replacer import Replacer
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 
 PERIOD = 10_000_000  # ns
 START = 1_000_000_000_000  # ns

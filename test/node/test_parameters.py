@@ -10,7 +10,7 @@ from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameter_file import check_addressed
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.replacer import Replacer
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 
 @pytest.fixture(scope='module')

@@ -15,7 +15,7 @@ from vsensor_ros.node.lifecycle import ManagedNode
 from vsensor_ros.node.parameter_file import check_files, LARGEST_FILE
 from vsensor_ros.node.parameters import LARGEST_NUMBER, LONGEST_NAME, read
 from vsensor_ros.node.qos import qos_parameters
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 ROOT = Path(__file__).parents[2]
 COMPLETE = ROOT / 'config' / 'replacer.yaml'

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 
 sys.path.append(str(Path(__file__).parent))
 from managed_rig import Machine

@@ -16,9 +16,9 @@ import pytest
 from vsensor_ros import Design
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.design_file import VERSION
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers import (
     Certificate,
+    Limit,
     Noise,
     OrderStep,
     Proof,
@@ -26,6 +26,7 @@ from vsensor_ros.observers.virtual_sensor import (
     Rung,
     VirtualSensor,
 )
+from vsensor_ros.observers.file import VERSION
 
 TERM = NonlinearTerm('sign(x2)', 'sign(w1)', np.zeros(1))
 SENSORS = ('y1', 'y2', 'y3')
@@ -34,7 +35,8 @@ PROOF = Proof(1, 1, (OrderStep(0, 'impossible', 'the rows of C0 do not span v', 
 LADDER = (Rung(1, 0.1, 2.0, 1.0 / 3.0, 'least'), Rung(2, 0.05, 1.0, np.inf, 'quiet'))
 GLOBAL = Certificate('global', 0.1 + 0.2, 2.5, np.array([[2.0]]), (), (2.35, 0.25), 'it brakes')
 REGION = Certificate('region', np.inf, np.inf, np.eye(2) / 3, (
-    ('x1 - x2', -np.inf, 3.0), ('x2', 1e-300, np.inf)), (np.inf, np.inf), 'while levels are so')
+    Limit(0, 0, -np.inf, 3.0), Limit(None, 0, 1e-300, np.inf)), (np.inf, np.inf),
+    'while levels are so')
 NONE = Certificate('none', 0.0, np.inf, np.zeros((1, 1)), (), None, 'the slope has no bound')
 
 
@@ -250,9 +252,32 @@ BROKEN = {
                         'rate: must be 0 where nothing is certified'),
     'shape of S': (lambda r: certificate(r).update(S=[]), 'certificate.S: is not 1 x 1'),
     'region of a global one': (
-        lambda r: certificate(r).update(region=[{'name': 'x', 'low': 0.0, 'high': 1.0}]),
+        lambda r: certificate(r).update(
+            region=[{'term': 0, 'argument': 0, 'low': 0.0, 'high': 1.0}]),
         'region: does not agree with the status global'),
     'no region': (lambda r: certificate(r).update(status='region'), 'region: does not agree'),
+    'kind left out': (lambda r: first_sensor(r).pop('kind'), 'entries[1].kind: is missing'),
+    'kind that nobody knows': (lambda r: first_sensor(r).update(kind='os.system'),
+                               'entries[1].kind: os.system is not one of functional'),
+    'kind as a list': (lambda r: first_sensor(r).update(kind=['functional']),
+                       'entries[1].kind: must be a text'),
+    'kind of a refusal': (lambda r: r['entries'][0].update(kind='functional'),
+                          'entries[0].kind: is not a key'),
+    'kind in an older file': (lambda r: r.update(version=3), 'entries[1].kind: is not a key'),
+    'region of a term that is not there': (
+        lambda r: certificate(r, 2)['region'][0].update(term=1), 'region[0].term: 1: there are 1'),
+    'region of an argument that is not there': (
+        lambda r: certificate(r, 2)['region'][0].update(argument=1),
+        'region[0].argument: 1: there are 1'),
+    'region of a command that is not there': (
+        lambda r: certificate(r, 2)['region'][1].update(argument=7),
+        'region[1].argument: 7: there are 1'),
+    'region by name': (lambda r: certificate(r, 2)['region'][0].update(name='x2'),
+                       'region[0].name: is not a key'),
+    'older region of other arguments': (
+        lambda r: (as_version_3(r), certificate(r, 2)['region'].append(
+            {'name': 'x7', 'low': 0.0, 'high': 1.0})),
+        'certificate.region: names 2 arguments of terms; 1 feed'),
     'empty region': (
         lambda r: certificate(r, 2)['region'][0].update(low=3.0), 'region[0].low: is not below'),
     'side left out': (lambda r: certificate(r, 2)['region'][0].pop('low'), 'low: is missing'),
@@ -288,6 +313,16 @@ def certificate(record, entry=1):
     return record['entries'][entry]['certificate']
 
 
+def as_version_3(record):
+    """Write a record as it stood in the file before there were kinds."""
+    record.update(version=3)
+    for entry in record['entries']:
+        entry.pop('kind', None)
+        for limit in (entry.get('certificate') or {}).get('region', ()):
+            del limit['argument']
+            limit['name'] = 'u1' if limit.pop('term') is None else 'x2'
+
+
 @pytest.mark.parametrize('case', BROKEN)
 def test_refused_with_one_line(written, case):
     change, expected = BROKEN[case]
@@ -299,12 +334,54 @@ def test_refused_with_one_line(written, case):
 
 def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written):
     def older(record):
+        as_version_3(record)
         record.update(version=2)
         del record['plant']['Cu'], record['entries'][2]['start']
     rewrite(written, older)
     read = Design.load(written)
     assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)
     assert len(read.entries) == len(example().entries)
+
+
+def test_a_file_of_version_3_is_the_same_design(tmp_path):
+    """Written by the designer, of config/three_tank, before there were kinds."""
+    golden = Path(__file__).with_name('three_tank.version_3.json')
+    record, loaded = json.loads(golden.read_text()), Design.load(golden)
+    assert record['version'] == 3
+    loaded.save(tmp_path / 'new.json')
+    for read in (loaded, Design.load(tmp_path / 'new.json')):
+        assert read.plant_hash == record['plant']['hash'] and len(read.entries) == 2
+        for entry in record['entries']:
+            v = read[entry['fault_set'], entry['channel']]
+            assert v.kind == 'functional' and v.outputs == (v.channel,)
+            for key in ('Phi', 'N', 'J', 'B', 'P', 'Cv', 'Q', 'Qu', 'z0', 'z0_gain', 'start'):
+                assert getattr(v, key).tolist() == entry[key]
+            for key in ('order', 'method', 'grade', 'noise_gain', 'disturbance_gain'):
+                assert getattr(v, key) == entry[key]
+            for term, text, gz, gy, gu in zip(entry['terms'], v.terms, v.Gz, v.Gy, v.Gu):
+                assert [term['name'], term['function'], term['Gz'], term['Gy'], term['Gu']] == [
+                    text.name, text.text, gz.tolist(), gy.tolist(), gu.tolist()]
+            # the region is of the arguments that its texts name
+            assert v.certificate.status == 'region' and len(v.certificate.region) == 2
+            assert v.region == tuple((limit['name'], limit['low'], limit['high'])
+                                     for limit in entry['certificate']['region'])
+            assert [loaded[v.fault_set, v.channel].terms[limit.term].name
+                    for limit in v.certificate.region] == [
+                        f"sqrt({limit['name']})" for limit in entry['certificate']['region']]
+
+
+def test_an_old_region_lists_equal_arguments_once_and_then_commands(tmp_path):
+    golden = Path(__file__).with_name('three_tank.version_3.json')
+    record = json.loads(golden.read_text())
+    entry = record['entries'][0]
+    entry['terms'].append({**entry['terms'][1], 'name': 'once more'})
+    entry['P'] = [[*row, row[1]] for row in entry['P']]
+    entry['certificate']['region'].append({'name': 'u2', 'low': None, 'high': 2.0})
+    path = tmp_path / 'old.json'
+    path.write_text(json.dumps(record))
+    v = Design.load(path)['y1', 'y1']
+    assert [limit[:2] for limit in v.certificate.region] == [(0, 0), (1, 0), (None, 1)]
+    assert v.region[2] == ('u2', -np.inf, 2.0)
 
 
 @pytest.mark.parametrize('text', ['NaN', 'Infinity', '-Infinity'])
@@ -441,7 +518,8 @@ _certificates = st.one_of(
               st.none() | st.tuples(_open, _open), _text),
     st.builds(Certificate, st.just('region'), _open, _open,
               arrays(float, (1, 1), elements=_numbers),
-              st.lists(st.tuples(_text, st.floats(max_value=0.0, allow_nan=False),
+              st.lists(st.builds(Limit, st.none() | st.just(0), st.just(0),
+                                 st.floats(max_value=0.0, allow_nan=False),
                                  st.floats(0.0, exclude_min=True, allow_nan=False)),
                        min_size=1, max_size=3).map(tuple),
               st.tuples(_open, _open), _text))

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers import (
     Certificate,
     Design,
+    Limit,
     Noise,
     Proof,
     Refusal,
     VirtualSensor,
 )
+from vsensor_ros.observers.kinds.functional import argument_name
 
 TERMS = (NonlinearTerm('sin(x1)', 'sin(w1)', np.zeros(1)),
          NonlinearTerm('x1*u2', 'w1*w2*u2', np.zeros(2)))
@@ -63,6 +65,39 @@ def test_it_reads_what_any_of_its_equations_reads():
     Gy = (y4, np.zeros((2, 3)))
     assert sensor(Gy=Gy).reads == ('y2',)  # the term is not active
     assert sensor(Gy=Gy, P=np.array([[1.0, 0.0]])).reads == ('y2', 'y4')
+
+
+@pytest.mark.parametrize(('name', 'text', 'called'), [
+    ('sqrt(level1 - level2)', 'sqrt(w1)', ['level1 - level2']),
+    ('2*(x1 + x2)*u1 - sin(-0.5*x3)', '2*w1*u1 - sin(w2)', ['x1 + x2', '-0.5*x3']),
+    ('x2 - x3 - sqrt(x2 - x3)', 'w1 - sqrt(w1)', ['x2 - x3']),
+    ('the leak', 'sqrt(w1)', ['w1 of the leak']),
+    ('cos(x)', 'sin(w1)', ['w1 of cos(x)']),
+    ('w1*w2', 'w1*w2', ['w1 of w1*w2', 'w2 of w1*w2']),
+    ('__import__("os")', 'sin(w1)', ['w1 of __import__("os")']),
+])
+def test_arguments_have_the_names_of_the_plant(name, text, called):
+    term = NonlinearTerm(name, text, np.zeros(len(called)))
+    assert [argument_name(term, i) for i in range(len(called))] == called
+
+
+def test_its_region_is_named():
+    certificate = Certificate('region', 1.0, 1.0, np.eye(1), (
+        Limit(0, 0, -1.0, 1.0), Limit(1, 1, 0.0, np.inf), Limit(None, 1, 2.0, 3.0)), None, '')
+    v = sensor(certificate=certificate, terms=(
+        TERMS[0], NonlinearTerm('x1*(x1 - x2)*u2', 'w1*w2*u2', np.zeros(2))))
+    assert v.region == (('x1', -1.0, 1.0), ('x1 - x2', 0.0, np.inf), ('u2', 2.0, 3.0))
+    assert sensor().region == ()
+
+
+@pytest.mark.parametrize(('N', 'sample_time', 'decay'), [
+    ([[-1.0, 5.0], [0.0, -3.0]], None, 1.0), ([[0.25]], 2.0, np.log(4) / 2), ([[0.0]], 1.0, 27.63),
+    (np.zeros((0, 0)), None, np.inf)])
+def test_decay_is_that_of_the_slowest_mode(N, sample_time, decay):
+    N = np.array(N)
+    v = sensor(N=N, eigenvalues=np.linalg.eigvals(N).astype(complex), sample_time=sample_time)
+    assert v.decay == pytest.approx(decay, rel=1e-3)
+    assert (v.kind, v.outputs) == ('functional', ('y1',))
 
 
 @pytest.mark.parametrize(('error', 'floor', 'ratio'), [

@@ -15,7 +15,8 @@ from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.designer import main
 from vsensor_ros.designer.location import locations
-from vsensor_ros.observers.virtual_sensor import Certificate, Refusal, VirtualSensor
+from vsensor_ros.functions.nonlinearity import NonlinearTerm
+from vsensor_ros.observers import Certificate, Limit, Refusal, VirtualSensor
 from vsensor_ros.report import page as report_module, report_simulation
 from vsensor_ros.report.page import page, write_report
 
@@ -169,8 +170,12 @@ def test_hostile_texts_are_only_texts(text):
     entries = {
         (('y1',), 'y1'): Refusal('y1', ('y1',), f'reason {text}', (f'doubt {text}',),
                                  f'or {text}'),
-        (('y2',), 'y2'): replace(entry, method=text, certificate=Certificate(
-            'region', 1.0, 1.0, np.eye(entry.order), ((f'w {text}', 0.0, 1.0),), None, text))}
+        (('y2',), 'y2'): replace(
+            entry, method=text, terms=(NonlinearTerm(text, 'w1', np.zeros(1)),),
+            P=np.zeros((entry.order, 1)), Gz=(np.zeros((1, entry.order)),),
+            Gy=(np.zeros((1, 1)),), Gu=(np.zeros((1, 1)),),
+            certificate=Certificate('region', 1.0, 1.0, np.eye(entry.order),
+                                    (Limit(0, 0, 0.0, 1.0),), None, text))}
     result = replace(result, entries=entries, plant_name=text)
     made = page(plant, result, locations(plant))
     shown = Page(made)
@@ -182,7 +187,7 @@ def test_hostile_texts_are_only_texts(text):
     assert f'Virtual sensors of {text}' in shown.text
     for needle in (f'reason {text}', f'In doubt: doubt {text}', f'Instead: or {text}'):
         assert needle in shown.sections['e1']
-    assert f'only while 0 <= w {text} <= 1: {text}' in shown.sections['e2']
+    assert f'only while 0 <= w1 of {text} <= 1: {text}' in shown.sections['e2']
     for svg in re.findall(r'<svg.*?</svg>', made, re.DOTALL):
         labels = ''.join(ElementTree.fromstring(svg).itertext())
         assert f'y2 [{text}]' in labels

@@ -8,11 +8,14 @@ import math
 import numpy as np
 
 from vsensor_ros.bank.readings import Samples, Seen
-from vsensor_ros.bank.step import NOTHING
+from vsensor_ros.observers import Told
+from vsensor_ros.reason import Reason
 
 LARGEST = 1e100  # a number beyond it is as good as infinite
-ISOLATED = 'isolated'
-_AHEAD = 'stamp ahead of the clock'
+NOT_FINITE = Reason.of('not finite')
+ISOLATED = Reason.of('isolated')  # not used, but kept apart
+AHEAD = Reason.of('ahead of the clock')
+_NOTHING = np.zeros(0)
 # ns that a stamp may lie ahead: clocks of two machines differ by milliseconds, and that of a
 # simulation comes in steps. For so long one bad stamp shuts out the good ones after it
 _MOST_AHEAD = 100_000_000
@@ -49,8 +52,10 @@ class Inputs:
         self._seers = {name: [r[0] for r, gain in zip(self._readings, column) if gain]
                        for name, column in zip(self.commands, self._Cu.T)}
         self._heard: dict[str, int] = {}  # by sensor: its last stamp, isolated or not
+        # readings of sensors that are or were isolated: nothing is computed from them
+        self._apart: dict[str, Samples] = {}
 
-    def take(self, name: str, stamp: int, value: float, latest: float) -> int | str:
+    def take(self, name: str, stamp: int, value: float, latest: float) -> int | Reason:
         """
         Accept a sample whose stamp is at most its max_age, and 0.1 s, after the latest time.
 
@@ -59,11 +64,12 @@ class Inputs:
         samples = self.samples[name]
         age = self.ages.get(name)
         if not -LARGEST < value < LARGEST:
-            return 'not finite'
+            return NOT_FINITE
         if stamp > latest + min(age or self.oldest, _MOST_AHEAD):
-            return _AHEAD
+            return AHEAD
         if self._floors and stamp <= self._floors.get(name, -math.inf):
             self._heard[name] = max(stamp, self._heard.get(name, stamp))
+            self._apart.setdefault(name, Samples()).add(stamp, value)
             return ISOLATED
         last = samples.stamps[-1] if samples.stamps else None
         reason = samples.add(stamp, value, age is None)
@@ -75,17 +81,19 @@ class Inputs:
         self._heard[name] = stamp
         return stamp if last is None or stamp - last > age else last + 1
 
-    def drop_ahead(self, now: int) -> Iterator[tuple[str, str]]:
+    def drop_ahead(self, now: int) -> Iterator[tuple[str, Reason]]:
         """Forget what lies ahead of the clock after all; tell of which channel, and why."""
         for name in self._floors.keys() - self.distrusted:  # of a clock that was set back since
             self._floors[name] = min(self._floors[name], now)
         for name, samples in self.samples.items():
-            ahead = min(self.ages.get(name, self.oldest), _MOST_AHEAD)
-            while samples.stamps and samples.stamps[-1] > now + ahead:
-                samples.stamps.pop()
-                samples.values.pop()
+            for _ in range(samples.drop_after(now + self._ahead(name))):
                 self._heard.pop(name, None)
-                yield name, _AHEAD
+                yield name, AHEAD
+        for name, samples in self._apart.items():
+            samples.drop_after(now + self._ahead(name))
+
+    def _ahead(self, name: str) -> int:
+        return min(self.ages.get(name, self.oldest), _MOST_AHEAD)
 
     def distrust(self, names: Collection[str], now: int | None) -> None:
         """Believe only readings of these sensors that come after they are trusted again."""
@@ -93,7 +101,8 @@ class Inputs:
             self._floors[name] = -math.inf if now is None else now
         for name in set(names) - self.distrusted:
             self._floors[name] = math.inf
-            self.samples[name].clear()
+            if self.samples[name].stamps:
+                self._apart[name] = self.samples[name].moved()
         self.distrusted = frozenset(names)
 
     def silent(self, name: str, now: int, began: int | None) -> bool:
@@ -107,42 +116,44 @@ class Inputs:
                    for name, age in self.ages.items()
                    if name not in without and (stamps := self.samples[name].stamps))
 
-    def missing(self, needs: np.ndarray, now: int | None) -> str | None:
-        """Return in words which of these (L + m,) bool is not there; None when all are."""
+    def missing(self, needs: np.ndarray, now: int | None) -> Reason | None:
+        """Return which of these (L + m,) bool is not there; None when all are."""
         for (name, samples), needed in zip(self.samples.items(), needs):
             if not needed:
                 continue
             if name in self.distrusted:
-                return f'{name} is isolated'
+                return Reason.of('input isolated', name=name)
             if not samples.stamps:
-                return f'no {"reading" if name in self.ages else "command"} of {name} yet'
+                return Reason.of('no reading yet' if name in self.ages else 'no command yet',
+                                 name=name)
             age = 0 if now is None else now - samples.stamps[-1]
             if age > self.ages.get(name, math.inf):
-                return f'{name} silent for {age * 1e-9:.1f} s'
+                return Reason.of('input silent', name=name, seconds=age * 1e-9)
         return None
 
     def oldest_stamp(self, default: int) -> int:
         """Return the stamp of the oldest sample that is kept."""
         return min((s.stamps[0] for s in self.samples.values() if s.stamps), default=default)
 
+    def said(self, name: str) -> Samples:
+        """Return what a sensor has said last, believed or kept apart."""
+        samples = self.samples[name]
+        return samples if samples.stamps else self._apart.get(name, samples)
+
     def last_stamps(self) -> list[int | None]:
         """Return the last stamp of each sensor."""
         return [samples.stamps[-1] if samples.stamps else None for samples, _, _ in self._readings]
 
-    def at(self, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Return the readings at a time (L,), 0 where there is none, and what is there (L + m,) bool.
-
-        And the commands that hold from then on (m,), or (0,) when nobody asks for them.
-        """
+    def at(self, time: int) -> Told:
+        """Return what was told of a time."""
         y = [samples.interpolated(time, age, seen) for samples, age, seen in self._readings]
         held = [samples.held(time) for samples in self._held]
         there: np.ndarray = self.everything
         if None in y or None in held:
             there = np.array([v is not None for v in (*y, *held)], dtype=bool)
             y, held = [v or 0.0 for v in y], [v or 0.0 for v in held]
-        return np.array(y, dtype=float), there, (
-            np.array(held, dtype=float) if self._wants_held else NOTHING)
+        return Told(np.array(y, dtype=float), there,
+                    np.array(held, dtype=float) if self._wants_held else _NOTHING)
 
     def over(self, start: int, end: int) -> np.ndarray:
         """Return the commands at the start and at the end of a step, and their means (3, m)."""
@@ -160,6 +171,8 @@ class Inputs:
             samples.forget(before)
         for samples in self._held:  # the readings from before have seen them
             samples.forget(before - self.oldest)
+        for samples in self._apart.values():
+            samples.forget(before)
 
 
 def ages_of(sensors: tuple[str, ...], max_age: float | Mapping[str, float],

@@ -5,7 +5,11 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
+from vsensor_ros.reason import Reason
+
 _MOST = 2**16  # samples kept at most, whatever is sent
+DUPLICATE = Reason.of('duplicate stamp')
+BACKWARDS = Reason.of('stamp runs backwards')
 
 
 class Samples:
@@ -15,18 +19,27 @@ class Samples:
         self.stamps: list[int] = []
         self.values: list[float] = []
 
-    def clear(self) -> None:
-        """Forget all samples."""
-        self.stamps.clear()
-        self.values.clear()
+    def moved(self) -> Samples:
+        """Return all samples, and forget them."""
+        new = Samples()
+        new.stamps, self.stamps[:] = self.stamps[:], []
+        new.values, self.values[:] = self.values[:], []
+        return new
 
-    def add(self, stamp: int, value: float, latest_wins: bool = False) -> str | None:
+    def drop_after(self, time: int) -> int:
+        """Forget the samples after a time; return how many."""
+        count = len(self.stamps) - bisect_right(self.stamps, time)
+        if count:
+            del self.stamps[-count:], self.values[-count:]
+        return count
+
+    def add(self, stamp: int, value: float, latest_wins: bool = False) -> Reason | None:
         """Append a sample, or put it in the place of one with the same stamp; return why not."""
         if self.stamps and stamp <= self.stamps[-1]:
             if latest_wins and stamp == self.stamps[-1]:
                 self.values[-1] = value
                 return None
-            return 'duplicate stamp' if stamp == self.stamps[-1] else 'stamp runs backwards'
+            return DUPLICATE if stamp == self.stamps[-1] else BACKWARDS
         if len(self.stamps) >= _MOST:
             self._drop(_MOST // 2)
         self.stamps.append(stamp)

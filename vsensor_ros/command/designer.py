@@ -13,7 +13,7 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
 from vsensor_ros.designer.design import METHODS
 from vsensor_ros.designer.location import locations
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant
 from vsensor_ros.report.design_answer import answer, closing
 from vsensor_ros.report.page import check_target, write_report

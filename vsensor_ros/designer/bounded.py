@@ -16,7 +16,7 @@ from vsensor_ros.designer.least_disturbed import ALIKE, least_disturbed, WORTH
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.relaxation import relax
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.reason import Reason
 
 LARGEST_HINTED = 60  # states of a plant for which a refusal names the alternative

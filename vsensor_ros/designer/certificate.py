@@ -25,9 +25,10 @@ from vsensor_ros.designer.peak_to_peak import peak_bound
 from vsensor_ros.designer.quadratic_form import Form, MOST_CORNERS, ROUNDING
 from vsensor_ros.designer.slopes import Interval, jumps, slope_bounds_on
 from vsensor_ros.designer.stability import lasting
-from vsensor_ros.functions.expression import names, parse, to_text
-from vsensor_ros.observers.virtual_sensor import Certificate, VirtualSensor
-from vsensor_ros.plant.plant import affine_node, Plant
+from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.observers import Certificate, Limit, VirtualSensor
+from vsensor_ros.observers.kinds.functional import argument_name
+from vsensor_ros.plant.plant import Plant
 
 INFINITE_SLOPE = 1e100
 REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # of boxes, in operating points
@@ -100,9 +101,10 @@ def _in_a_region(plant: Plant, sensor: VirtualSensor) -> Certificate:
     form, states, inputs = found
     region = _region(plant, sensor, states, inputs)
     return _certificate(
-        'region', form, sensor, _slope_bounds(plant, sensor, states, inputs), region,
+        'region', form, sensor, _slope_bounds(plant, sensor, states, inputs),
+        tuple(limit for _, limit in region),
         _said(sensor, 'it holds only while plant and estimate both keep '
-              + _listed([f'{name} in [{low:.4g}, {high:.4g}]' for name, low, high in region])))
+              + _listed([f'{name} in [{at.low:.4g}, {at.high:.4g}]' for name, at in region])))
 
 
 def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certificate:
@@ -287,23 +289,23 @@ def _obstacle(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]],
 
 
 def _region(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
-            inputs: np.ndarray) -> tuple[tuple[str, float, float], ...]:
+            inputs: np.ndarray) -> tuple[tuple[str, Limit], ...]:
     """List the boxes of the arguments, and of the inputs where those are confined too."""
-    found: dict[str, tuple[str, float, float]] = {}
+    found: dict[bytes | str, tuple[str, Limit]] = {}  # equal arguments once
     for i in _feeding_terms(sensor):
-        for row, (low, high) in zip(plant.G[i], _image(plant.G[i], states)):
-            name = to_text(affine_node(row, plant.states))
-            found[name] = name, float(low), float(high)
-    for name, (low, high) in zip(plant.inputs, inputs):
+        for j, (row, (low, high)) in enumerate(zip(plant.G[i], _image(plant.G[i], states))):
+            found.setdefault((row + 0.0).tobytes(), (
+                argument_name(sensor.terms[i], j), Limit(i, j, float(low), float(high))))
+    for j, (name, (low, high)) in enumerate(zip(plant.inputs, inputs)):
         if np.isfinite(low) and any(name in names(parse(sensor.terms[i].text))
                                     for i in _feeding_terms(sensor)):
-            found[name] = name, float(low), float(high)
+            found[name] = name, Limit(None, j, float(low), float(high))
     return tuple(found.values())
 
 
 def _certificate(status: str, form: Form, sensor: VirtualSensor,
                  bounds: dict[int, tuple[Interval, ...]],
-                 region: tuple[tuple[str, float, float], ...], reason: str) -> Certificate:
+                 region: tuple[Limit, ...], reason: str) -> Certificate:
     # V in units of the channel: |Cv e|^2 <= e' S e
     size = max(float(np.linalg.norm(solve_triangular(form.L, row, lower=True)))
                for row in sensor.Cv)

@@ -20,7 +20,7 @@ from vsensor_ros.designer.order_noise import search_orders
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.relaxation import decouple, relax
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.observers.virtual_sensor import Noise, Refusal, VirtualSensor
+from vsensor_ros.observers import Noise, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 

@@ -29,7 +29,7 @@ from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 

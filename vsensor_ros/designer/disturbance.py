@@ -10,7 +10,7 @@ from vsensor_ros.designer.gain import peak
 from vsensor_ros.designer.observer import linearised
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.reason import Reason
 
 

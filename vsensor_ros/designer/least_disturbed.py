@@ -20,7 +20,7 @@ from vsensor_ros.designer.observer import build
 from vsensor_ros.designer.order_noise import SLUGGISH
 from vsensor_ros.designer.relaxation import grounds_of, judged_filters, Relaxed, swept
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.observers.virtual_sensor import Noise, Rung, VirtualSensor
+from vsensor_ros.observers import Noise, Rung, VirtualSensor
 from vsensor_ros.reason import Reason
 
 WORTH = 1.2  # the least order is taken whose disturbance is within this factor of the least

@@ -17,7 +17,7 @@ from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import in_row_space, measured_part, RANK_TOLERANCE, solve_left
 from vsensor_ros.functions.nonlinearity import set_valued, slope_at
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant import Plant
 
 EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)

@@ -37,7 +37,7 @@ from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.stabilise import stable_members
 from vsensor_ros.designer.subspaces import Gap, in_row_space, RANK_TOLERANCE
 from vsensor_ros.functions.nonlinearity import set_valued
-from vsensor_ros.observers.virtual_sensor import (
+from vsensor_ros.observers import (
     Noise,
     OrderStep,
     Proof,

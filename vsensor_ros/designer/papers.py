@@ -31,7 +31,7 @@ from vsensor_ros.designer.subspaces import (
     rank,
     solve_left,
 )
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.reason import Reason
 
 NOISE_FACTOR = 2.0  # the fastest within this factor of the quietest is taken

@@ -14,7 +14,7 @@ from vsensor_ros.designer.papers import with_residual
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.relaxation import decouple
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.observers.virtual_sensor import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.reason import Reason
 
 

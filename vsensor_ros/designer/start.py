@@ -8,7 +8,7 @@ import numpy as np
 
 from vsensor_ros.designer.noise import noise_model, RELATIVE
 from vsensor_ros.designer.problem import Problem
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 
 
 def started(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:

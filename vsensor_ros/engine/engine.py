@@ -25,7 +25,7 @@ from vsensor_ros.engine.state import ChannelState, EngineState, stopped
 from vsensor_ros.engine.stream import Stream, UNREADABLE
 from vsensor_ros.engine.switch import Source, Switch
 from vsensor_ros.engine.ticks import Ticks
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
@@ -45,8 +45,7 @@ class Engine:
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
-        self._stand_in = StandIn(setup.design, self._bank, self._clock, setup.live,
-                                 self._intake.held)
+        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
@@ -317,6 +316,11 @@ class Engine:
             faulty, self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             dict(self._clock.jumps), self._starts, still)
 
+    def _residual(self, name: str, fault_set: tuple[str, ...]) -> float:
+        """Return the last reading of a faulty sensor - its estimate; NaN when not known."""
+        known = self._bank.residual(fault_set, name) if name in self._switch.faulty else None
+        return math.nan if known is None else known
+
     def _state(self, stream: Stream, channel: Channel, faulty: tuple[str, ...],
                standstill: Reason | None) -> ChannelState:
         name, lasting = channel.name, self._clock.lasting()
@@ -328,9 +332,10 @@ class Engine:
             reason = Reason.of('instead', why=standstill, instead=Reason('stop'))
         elif source == VIRTUAL:
             fault_set = decision.fault_set
-            entry = self._design.entries.get((fault_set, name))
-            serves = entry if isinstance(entry, VirtualSensor) else None
+            entry = self._bank.entry(fault_set, name)
+            serves = None if isinstance(entry, Refusal) else entry
             deviation = self._bank.deviation(fault_set, name)
+            interval = self._bank.interval(fault_set, name)
         elif source == NONE:
             value = math.nan
         else:
@@ -349,7 +354,7 @@ class Engine:
             channel.blend.left(lasting), channel.switches, channel.blend.step,
             _seconds(channel.since, lasting), channel.virtual_time(lasting) * 1e-9,
             name in self._switch.forced, _seconds(isolated, self._clock.now),
-            _seconds(recovering, lasting), math.nan, serves,
+            _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), _total(self._bank.outside_domain, name),
             _total(self._bank.restarts, name),
             {why: count for (of, why), count in self._intake.counts.items() if of == name},

@@ -55,7 +55,7 @@ class Intake:
         if isinstance(value, Reason):
             self.count(name, value)
         elif stamp := stamp or self._unstamped(received):
-            reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+            reason = self._bank.take(name, stamp, value, self._clock.now)
             if reason is not None:
                 self.count(name, reason)
 
@@ -70,7 +70,7 @@ class Intake:
 
     def _feed(self, channel: Channel, stamp: int, value: float) -> None:
         name = channel.name
-        reason = _reason(self._bank.take(name, stamp, value, self._clock.now))
+        reason = self._bank.take(name, stamp, value, self._clock.now)
         if reason is None:
             self.held[name] = value
             before, self._last[name] = self._last.get(name, stamp), stamp
@@ -90,11 +90,3 @@ class Intake:
             self.say('warning', Reason.of(
                 'slow sensor', name=name, seconds=interval * 1e-9,
                 max_age=channel.max_age * 1e-9), ('slow', name))
-
-
-def _reason(said):  # until the bank says it so itself
-    if said is None or isinstance(said, Reason):
-        return said
-    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
-    from vsensor_ros.reason import SENTENCES
-    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vsensor_ros.engine.switch import Policy
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from vsensor_ros.engine.events import Composition, Substitute
 from vsensor_ros.engine.settings import Live
 from vsensor_ros.engine.stream import Stream, Wanted
 from vsensor_ros.engine.switch import Decision, Source
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
 
 OUT_OF_LINE = 4.0  # standard deviations
@@ -21,12 +21,12 @@ OUT_OF_LINE = 4.0  # standard deviations
 class StandIn:
     """Speaks for failed channels, without a step where one source follows another."""
 
-    def __init__(self, design: Design, bank: Bank, clock: Clock, live: Live,
+    def __init__(self, bank: Bank, clock: Clock, live: Live,
                  held: dict[str, float]) -> None:
         """Begin; held: by sensor the last value worth holding, which this keeps up to date."""
         self.live = live  # changes while it runs
         self.estimates = 0  # that went out
-        self._design, self._bank, self._clock, self._held = design, bank, clock, held
+        self._bank, self._clock, self._held = bank, clock, held
 
     def ready(self, fault_set: tuple[str, ...], name: str) -> bool:
         """Tell whether a virtual sensor may serve."""
@@ -34,7 +34,7 @@ class StandIn:
 
     def why_not(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
         """Return why a virtual sensor may not serve, or None when it may."""
-        reason = _reason(self._bank.why_not(fault_set, name))
+        reason = self._bank.why_not(fault_set, name)
         if reason is None and self._too_uncertain(fault_set, name):
             return Reason.of('too uncertain', limit=self.live.max_deviation[name],
                              deviation=self._bank.deviation(fault_set, name))
@@ -90,14 +90,15 @@ class StandIn:
             known = self._bank.disagreement(fault_set, channel.name)
             above = math.nan if known is None else known
         elif channel.source == VIRTUAL and fault_set != channel.fault_set:
-            entry = self._design.entries[channel.fault_set, channel.name]
-            reads = entry.reads if isinstance(entry, VirtualSensor) else ()
+            old = self._bank.entry(channel.fault_set, channel.name)
+            reads = () if old is None or isinstance(old, Refusal) else old.reads
             left = channel.value - channel.blend.left(self._clock.lasting()) - value
             if not set(distrusted).isdisjoint(reads) and abs(left) > OUT_OF_LINE * deviation:
                 above = math.nan  # what it read was faulty already
-        entry = self._design.entries[fault_set, channel.name]
-        return Wanted(value, fault_set, deviation, None,
-                      entry.grade if isinstance(entry, VirtualSensor) else '', above)
+        entry = self._bank.entry(fault_set, channel.name)
+        assert entry is not None and not isinstance(entry, Refusal)  # for it has an estimate
+        return Wanted(value, fault_set, deviation, self._bank.interval(fault_set, channel.name),
+                      entry.grade, above)
 
     def _without_estimate(self, channel: Channel, decision: Decision) -> str:
         """Note that nobody serves a channel, and why; return what goes out instead."""
@@ -133,11 +134,3 @@ def _note(channel: Channel, trouble: Reason | None) -> None:
         channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))
     elif channel.why is not None:
         channel.why = Reason.of('instead', why=channel.why.fact('why'), instead=Reason('nan'))
-
-
-def _reason(said):  # until the bank says it so itself
-    if said is None or isinstance(said, Reason):
-        return said
-    said = {'stamp ahead of the clock': 'ahead of the clock'}.get(said, said)
-    from vsensor_ros.reason import SENTENCES
-    return Reason(said) if said in SENTENCES else Reason.of('refused', text=said)

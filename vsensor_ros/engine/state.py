@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import Entry
 from vsensor_ros.reason import Reason
 
 STILL = 1.0  # s of steady time without simulated time
@@ -34,7 +34,7 @@ class ChannelState:
     isolated_s: float  # since isolation says that it is faulty; NaN when it does not
     recovering_s: float  # since it is reported healthy and not yet believed; NaN when it is not
     residual: float  # last reading - estimate, while it is faulty; NaN when not known
-    serves: VirtualSensor | None
+    serves: Entry | None
     outside_region: bool  # that virtual sensor runs where nothing is proved of it
     outside_domain: int  # steps of its virtual sensors with an argument that a function lacks
     restarts: int  # of its virtual sensors, because a state became infinite

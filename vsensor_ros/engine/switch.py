@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
 
-from vsensor_ros.observers.virtual_sensor import Design, Refusal
+from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 FaultSet = tuple[str, ...]  # in the design's order
@@ -102,9 +102,9 @@ class Switch:
         """Begin with all sensors healthy; those that have no policy get the default one."""
         names = design.sensors
         designed: dict[str, list[FaultSet]] = {s: [] for s in names}
-        for v in design.virtual_sensors:
-            if v.channel in designed:  # no wanted functional
-                designed[v.channel].append(v.fault_set)
+        for (fault_set, channel), entry in design.entries.items():
+            if channel in designed and not isinstance(entry, Refusal):  # no wanted functional
+                designed[channel].append(fault_set)
         return cls(design, _complete(design, policies or {}),
                    dict.fromkeys(names, Decision(Source.REAL)),
                    designed={s: tuple((frozenset(key), key) for key in sorted(keys, key=len))

@@ -20,7 +20,7 @@ from vsensor_ros.lab.config_folder import config_folder
 from vsensor_ros.lab.demo_failover import fail_over, Moment, Run
 from vsensor_ros.lab.demo_picture import draw
 from vsensor_ros.lab.process import Failed
-from vsensor_ros.observers.virtual_sensor import Refusal
+from vsensor_ros.observers import Refusal
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.judge import judge, replaced
 from vsensor_ros.simulate.recording import NoRecording
@@ -70,7 +70,7 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
     if isinstance(virtual, Refusal):
         raise BadInput(folder / 'demo.yaml', 'failed_sensor', f'{failed} cannot be replaced: '
                        f'{virtual.reason}', 'let another sensor fail')
-    say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + virtual.inputs)}, '
+    say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + virtual.commands)}, '
         f'order {virtual.order}'
         + (f', {scenario.speed:g} times real time' if scenario.speed != 1.0 else ''))
 

@@ -15,7 +15,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from vsensor_ros.engine import ChannelState, EngineState, Policy
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 from vsensor_ros.reason import Reason
 
 LEVELS = {

@@ -13,7 +13,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
 from vsensor_ros.node.known import DIAGNOSTICS
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, STATUS
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 LONGEST_TOPIC = 247  # characters; rmw takes no more
 ROS_TOPICS = {'/rosout': 'rcl_interfaces/msg/Log',

@@ -10,7 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
 from vsensor_ros.bad_input import BadInput, shown
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 RECOVERY = ('automatic', 'hold', 'latched')

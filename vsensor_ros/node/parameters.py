@@ -23,7 +23,7 @@ from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Senso
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN
 from vsensor_ros.node.qos import QOS, qos_parameters
-from vsensor_ros.observers.virtual_sensor import Design
+from vsensor_ros.observers import Design
 
 __all__ = ['DIAGNOSTICS', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
            'check_files', 'read', 'watch']

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import textwrap
 
 from vsensor_ros.designer.location import Location
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.report import design_text
 
@@ -81,7 +81,10 @@ def _refused(entry: Refusal) -> list[str]:
     return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
 
 
-def _facts(entry: VirtualSensor, unit: str) -> list[str]:
+def _facts(entry: Entry, unit: str) -> list[str]:
+    if not isinstance(entry, VirtualSensor):
+        return [line for name, value in design_text.facts(entry, unit)
+                for line in _hanging(name, value, 18)]
     terms = [entry.terms[i].name for i in entry.active]
     facts = [
         ('order', design_text.order(entry)),

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from vsensor_ros.designer.location import Location
-from vsensor_ros.designer.stabilise import decay_of
-from vsensor_ros.observers.virtual_sensor import Certificate, Design, Refusal, Rung, VirtualSensor
+from vsensor_ros.observers import Certificate, Design, Entry, Refusal, Rung, VirtualSensor
 
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
@@ -36,7 +35,7 @@ def verdict(design: Design, fault_set: tuple[str, ...]) -> str:
     if any(isinstance(e, Refusal) for e in entries):
         return 'no'
     return 'bounded' if any(e.grade == 'bounded' for e in entries
-                            if isinstance(e, VirtualSensor)) else 'yes'
+                            if not isinstance(e, Refusal)) else 'yes'
 
 
 def losses(design: Design) -> dict[int, dict[tuple[str, ...], str]]:
@@ -100,16 +99,16 @@ def title(design: Design, fault_set: tuple[str, ...], channel: str) -> str:
     return text
 
 
-def state_of(entry: VirtualSensor | Refusal) -> str:
+def state_of(entry: Entry | Refusal) -> str:
     """Say in three words what became of a channel."""
     done = 'replaced' if entry.channel in entry.fault_set else 'computed'
     if isinstance(entry, Refusal):
         return f'cannot be {done}'
-    return f'can be {done}' + ('' if entry.grade == 'exact'
-                               else ' within a bound, disturbed by unknown inputs')
+    return f'can be {done}' + (' within a bound, disturbed by unknown inputs'
+                               if entry.grade == 'bounded' else '')
 
 
-def order(entry: VirtualSensor) -> str:
+def order(entry: Entry) -> str:
     """Say the order and what is proved of it."""
     proof = entry.proof
     if proof is None:
@@ -123,7 +122,7 @@ def order(entry: VirtualSensor) -> str:
     return f'{entry.order} ({least})'
 
 
-def noise(entry: VirtualSensor, unit: str) -> str:
+def noise(entry: Entry, unit: str) -> str:
     """Say the noise error, and how it stands to the floor."""
     if entry.noise is None:
         return 'not computed'
@@ -138,12 +137,12 @@ def noise(entry: VirtualSensor, unit: str) -> str:
     return text + ('; assumed noise' if n.assumed else '')
 
 
-def decay(entry: VirtualSensor) -> str:
+def decay(entry: Entry) -> str:
     """Say how fast an error dies out, judged by the eigenvalues."""
     if not entry.order:
         return 'at once: it has no state'
-    rate = decay_of(entry.eigenvalues, entry.sample_time)
-    return f'{number(rate, "1/s")} (an error is down to 5 % in {number(3.0 / rate, "s")})'
+    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in ' \
+           f'{number(3.0 / entry.decay, "s")})'
 
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
@@ -161,7 +160,7 @@ def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
     return ', '.join(texts) or 'none'
 
 
-def reads(entry: VirtualSensor) -> str:
+def reads(entry: Entry) -> str:
     """Name the sensors and commands it needs."""
     return ', '.join([*entry.reads, *entry.commands]) or 'nothing: it is a constant'
 
@@ -180,9 +179,9 @@ def certificate(entry: VirtualSensor) -> list[str]:
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
         region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
-                           for of, low, high in c.region)
+                           for of, low, high in entry.region)
         where = ('everywhere' if c.status == 'global' else 'only in a region'
-                 if all(of in c.reason for of, _, _ in c.region) else f'only while {region}')
+                 if all(of in c.reason for of, _, _ in entry.region) else f'only while {region}')
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
     if c.lipschitz is not None and entry.order:
@@ -198,12 +197,20 @@ def _bound(c: Certificate) -> str:
     return f'; readings wrong by 1 put it out by at most {number(c.bound)}'
 
 
-def certified(entry: VirtualSensor) -> str:
+def certified(entry: Entry) -> str:
     """Return the certificate in a word, for a table."""
     if entry.certificate is None:
-        return 'not certified' if entry.active else 'linear: everywhere'
+        linear = isinstance(entry, VirtualSensor) and not entry.active
+        return 'linear: everywhere' if linear else 'not certified'
     return {'global': 'everywhere', 'region': 'in a region'}.get(
         entry.certificate.status, 'NOT certified')
+
+
+def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
+    """Say what there is to say of a virtual sensor of any kind: names and texts."""
+    return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
+            ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
+            ('grade', entry.grade), ('found as', entry.method)]
 
 
 def disturbance(entry: VirtualSensor, unit: str) -> str:
@@ -220,7 +227,7 @@ def rungs(entry: VirtualSensor) -> list[tuple[Rung, bool]]:
     return [(rung, rung.order == entry.order) for rung in entry.ladder]
 
 
-def doubts(entry: VirtualSensor | Refusal) -> tuple[str, ...]:
+def doubts(entry: Entry | Refusal) -> tuple[str, ...]:
     """Return the decisions that were ambiguous."""
     if isinstance(entry, Refusal):
         return entry.doubts

@@ -17,7 +17,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
-from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.report import design_text, report_simulation
@@ -224,7 +224,7 @@ def _overview(design: Design) -> str:
             classes.append('no')
             continue
         n = entry.noise
-        rate = design_text.number(design_text.decay_of(entry.eigenvalues, entry.sample_time))
+        rate = design_text.number(entry.decay)
         rows.append((*first, str(entry.order),
                      escape(design_text.number(n.error, unit)) if n else '',
                      f'{n.ratio:.2f}' if n and np.isfinite(n.floor) else '',
@@ -256,7 +256,8 @@ def _places(plant: Plant, design: Design, locations: Sequence[Location] | None) 
 
 def _entries(plant: Plant, design: Design,
              progress: Callable[[int, int, str], None] | None) -> str:
-    sensors = [v for v in design.virtual_sensors if len(v.Cv) == 1]
+    sensors = [v for v in design.virtual_sensors
+               if isinstance(v, VirtualSensor) and len(v.Cv) == 1]
     drawn = {id(v): i for i, v in enumerate(sensors[:MOST_PICTURES])}
     parts = ['<h2>One by one</h2>']
     if len(sensors) > MOST_PICTURES:
@@ -271,7 +272,7 @@ def _entries(plant: Plant, design: Design,
                 body += f'<p>Instead: {escape(entry.alternative)}</p>'
         else:
             body = _sensor(plant, entry, design.units.get(channel, ''))
-            if id(entry) in drawn:
+            if isinstance(entry, VirtualSensor) and id(entry) in drawn:
                 if progress is not None:
                     progress(drawn[id(entry)], len(drawn), f'picture of {channel}')
                 body += _figure(plant, design, entry, _anchor(i))
@@ -281,7 +282,9 @@ def _entries(plant: Plant, design: Design,
     return '\n'.join(parts)
 
 
-def _sensor(plant: Plant, entry: VirtualSensor, unit: str) -> str:
+def _sensor(plant: Plant, entry: Entry, unit: str) -> str:
+    if not isinstance(entry, VirtualSensor):
+        return _facts([(name, escape(value)) for name, value in design_text.facts(entry, unit)])
     facts = [
         ('order', escape(design_text.order(entry))),
         ('reads', escape(design_text.reads(entry))),

@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.report.report_simulation import SimulatedRun, STEP_AT, WAVE_AT
 
 TRUTH, ESTIMATE, PROVED = '#a8a8a8', '#1f5fbf', '#2a7f3a'

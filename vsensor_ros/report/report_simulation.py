@@ -14,8 +14,7 @@ import warnings
 import numpy as np
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.designer.stabilise import decay_of
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.report.hold import growth, held
 from vsensor_ros.simulate import simulate
@@ -190,13 +189,13 @@ def _estimates(plant: Plant, design: Design, entry: VirtualSensor, period: int, 
         value = bank.estimate(entry.fault_set, entry.channel)
         said.append(np.nan if value is None else value)
     if not np.isfinite(said[-1]):
-        raise NotRun(bank.why_not(entry.fault_set, entry.channel) or 'it says nothing')
+        raise NotRun(str(bank.why_not(entry.fault_set, entry.channel) or 'it says nothing'))
     return np.array(said)
 
 
 def _duration(plant: Plant, entry: VirtualSensor) -> float:
     """Return how long [s] a run is to be, by what there is to see."""
-    return max(SHOWN / decay_of(entry.eigenvalues, plant.sample_time), 4.0 / _mean_rate(plant))
+    return max(SHOWN / entry.decay, 4.0 / _mean_rate(plant))
 
 
 def _grid(plant: Plant, entry: VirtualSensor, longest: float = np.inf) -> tuple[int, int]:

@@ -254,7 +254,8 @@ class Machine:
                 self.shift, self._shift_before)), key=lambda time: abs(time - self.now))
             said -= max(0.0, self.now - at)
         self.heard.outs.append(Out(topic, arrival, said, stamp, at, {
-            p.name: p.field.get(message) for p in ports}, frame, names_in(message)))
+            p.name: value if isinstance(value := p.field.get(message), float) else str(value)
+            for p in ports}, frame, names_in(message)))
 
 
 def names_in(message: Any) -> tuple[str, ...]:

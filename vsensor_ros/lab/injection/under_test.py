@@ -11,7 +11,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design as make_design
 from vsensor_ros.lab.parameter_file import Parameters, read_parameters
 from vsensor_ros.lab.wiring import Wiring, wiring_of
-from vsensor_ros.observers.virtual_sensor import Design, VirtualSensor
+from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.simulate.section import Section
 

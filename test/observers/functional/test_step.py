@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.bank.discretise import phi_functions
-from vsensor_ros.bank.step import make_step
+from vsensor_ros.observers.kinds.functional.discretise import phi_functions
+from vsensor_ros.observers.kinds.functional.step import make_step
 
 
 @pytest.mark.parametrize('N', [

@@ -7,8 +7,12 @@ import pytest
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
-from vsensor_ros.bank.convergence import converge, reading_gains, reading_pushes
-from vsensor_ros.observers.virtual_sensor import Certificate, Noise
+from vsensor_ros.observers import Certificate, Limit, Noise
+from vsensor_ros.observers.kinds.functional.convergence import (
+    converge,
+    reading_gains,
+    reading_pushes,
+)
 
 MS = 1_000_000
 KEY = (('y1',), 'y1')
@@ -99,7 +103,7 @@ def test_a_region_counts_only_where_start_and_arguments_lie_within(bench):
         return bench.virtual_sensor(
             [[-4.0]], [[4.0]], P=[[1.0]], Gz=[[[1.0]]], Gy=[[[0.5]]], texts=['tanh(w1)'],
             start=np.eye(1), noise=noise(0.0), certificate=Certificate(
-                'region', rate, 1.0, np.eye(1), (('x1', -width, width),), None, ''))
+                'region', rate, 1.0, np.eye(1), (Limit(0, 0, -width, width),), None, ''))
     assert converge(made(1.0)).proved  # an error of at most sqrt(3)
     assert not converge(made(0.8)).proved
     assert converge(made(0.8)).warm_up == pytest.approx(np.log(100) / 0.5, rel=0.02)
@@ -164,8 +168,8 @@ def test_a_bank_says_when_it_is_ready(bench):
         bank.advance(now * MS)
         assert bank.waiting(*KEY) == pytest.approx(max(0.0, bank.warm_up(*KEY) - now / 1e3))
         assert bank.ready(*KEY) is (now / 1e3 >= bank.warm_up(*KEY))
-        assert bank.why_not(*KEY) == (None if bank.ready(*KEY) else
-                                      f'converging, {bank.waiting(*KEY):.1f} s more')
+        assert str(bank.why_not(*KEY)) == (
+            'None' if bank.ready(*KEY) else f'converging, {bank.waiting(*KEY):.1f} s more')
         left = 3 * np.exp(-2 * now / 1e3)
         assert bank.deviation(*KEY) == pytest.approx(np.hypot(0.3, left), rel=0.01)
     assert bank.ready(*KEY)

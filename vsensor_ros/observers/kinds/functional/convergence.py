@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 
 _LEFT = 0.01  # of the largest: a start of which no more is left counts as forgotten
 _HORIZON = 50.0  # time constants that are looked at
@@ -54,19 +54,10 @@ class Region(NamedTuple):
 
 def region_of(v: VirtualSensor) -> Region | None:
     """Return where the certificate of a virtual sensor holds; None: everywhere, or nowhere."""
-    if v.certificate is None or v.certificate.status != 'region':
-        return None
-    # the designer lists each argument of the terms that feed the error once, then commands
-    limits = [(low, high) for name, low, high in v.certificate.region if name not in v.inputs]
-    rows: dict[bytes, tuple[np.ndarray, ...]] = {}
-    for i in v.active:
-        for row in zip(v.Gz[i], v.Gy[i], v.Gu[i]) if v.Gz[i].any() else ():
-            rows.setdefault(np.round(np.concatenate(row[:2]), 9).tobytes(), row)
-    if len(rows) != len(limits) or not rows:
-        return None
-    Gz, Gy, Gu = map(np.array, zip(*rows.values()))
-    low, high = np.array(limits).T
-    return Region(Gz, Gy, Gu, low, high)
+    limits = () if v.certificate is None else v.certificate.region
+    inside = [(v.Gz[i][j], v.Gy[i][j], v.Gu[i][j], low, high)
+              for i, j, low, high in limits if i is not None]
+    return Region(*map(np.array, zip(*inside))) if inside else None
 
 
 _UNKNOWN = Convergence(np.inf, np.zeros(1), np.full(1, np.inf), False, False, np.inf)

@@ -1,5 +1,5 @@
 """
-One step of every virtual sensor of a bank at once.
+One step of every functional observer of a design at once.
 
 Virtual sensors are stacked along a first axis V and padded with zeros to a common order k, so
 that a number that overflows in one of them cannot reach another. Other letters are those of the
@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.bank.discretise import phi_functions
 from vsensor_ros.functions.nonlinearity import (
     compile_outside_domain,
     compile_term,
     NonlinearTerm,
     set_valued,
 )
-from vsensor_ros.observers.virtual_sensor import VirtualSensor
+from vsensor_ros.observers.kinds.functional.discretise import phi_functions
+from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 
 # Takes z (V, k), the readings at both ends of the step (L,), the commands at both ends and their
 # mean (m,), and those that hold from either end on (m,), which readings taken there have seen: not

@@ -1,0 +1,123 @@
+"""The virtual sensors of a design as one batch, of whatever kinds they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsensor_ros.observers import Batch, Design, Entry, kind_named, Refusal, Told
+from vsensor_ros.reason import Reason
+
+
+def batch_of(design: Design, period: float, Cu: np.ndarray | None) -> Batch:
+    """
+    Make one batch for steps of a period [s]; of one kind only, it is that of the kind itself.
+
+    Cu (L, m): what is taken out of each reading; None: nothing.
+    """
+    by_kind: dict[str, list[Entry]] = {}
+    for entry in design.each_once():
+        if not isinstance(entry, Refusal):
+            by_kind.setdefault(entry.kind, []).append(entry)
+    parts = [kind_named(name).batch(entries, design, period, Cu)
+             for name, entries in by_kind.items()]
+    return parts[0] if len(parts) == 1 else _composed(
+        parts, len(design.sensors), len(design.inputs))
+
+
+def _composed(parts: Sequence[Batch], L: int, m: int) -> Composite:
+    sizes = [len(part.runs_on) for part in parts]
+    starts = np.cumsum([0, *sizes]).tolist()
+
+    def joined(name: str, dtype: type, *shape: int) -> np.ndarray:
+        return np.concatenate([np.zeros((0, *shape), dtype=dtype),
+                               *(getattr(part, name) for part in parts)])
+    return Composite(
+        keys=tuple(key for part in parts for key in part.keys),
+        of=np.concatenate([np.zeros(0, dtype=int),
+                           *(part.of + start for part, start in zip(parts, starts))]),
+        width=max((part.width for part in parts), default=0),
+        runs_on=joined('runs_on', bool, L + m),
+        starts_on=joined('starts_on', bool, L + m),
+        own=joined('own', int),
+        error=joined('error', float),
+        assumed=joined('assumed', bool),
+        slowest=joined('slowest', float),
+        warm_up=joined('warm_up', float),
+        proved=joined('proved', bool),
+        wants_held=any(part.wants_held for part in parts),
+        left_out={key: why for part in parts for key, why in part.left_out.items()},
+        parts=tuple((part, slice(start, start + size), part.width)
+                    for part, start, size in zip(parts, starts, sizes)),
+        outputs=tuple((i, j) for i, part in enumerate(parts) for j in range(len(part.keys))))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Composite(Batch):
+    """Batches of several kinds, one below the other; narrow states are filled up with zeros."""
+
+    parts: tuple[tuple[Batch, slice, int], ...]  # batch, its virtual sensors, its width
+    outputs: tuple[tuple[int, int], ...]  # O: which part says it, and which output of it
+
+    def start(self, told: Told) -> np.ndarray:
+        """Start each kind."""
+        return self._filled([part.start(told) for part, _, _ in self.parts])
+
+    def step(self, z: np.ndarray, before: Told, after: Told,
+             commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Step each kind."""
+        stepped = [part.step(z[rows, :k], before, after, commands)
+                   for part, rows, k in self.parts if rows.stop > rows.start]
+        outside = np.concatenate([np.zeros(0, dtype=bool), *(out for _, out in stepped)])
+        return self._filled([own for own, _ in stepped]), outside
+
+    def _filled(self, states: Sequence[np.ndarray]) -> np.ndarray:
+        z = np.zeros((len(self.runs_on), self.width))
+        at = 0
+        for own in states:
+            z[at:at + len(own), :own.shape[1]] = own
+            at += len(own)
+        return z
+
+    def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return the outputs of all kinds, side by side."""
+        return np.concatenate([np.zeros((*z.shape[:-2], 0)), *(
+            part.estimates(z[..., rows, :k], y, held) for part, rows, k in self.parts)], axis=-1)
+
+    def waiting(self, output: int, z: np.ndarray, age: float) -> float:
+        """Ask the kind."""
+        part, own, z = self._own(output, z)
+        return part.waiting(own, z, age)
+
+    def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
+        """Ask the kind."""
+        part, own, z = self._own(output, z)
+        return part.invalid(own, z, told, age)
+
+    def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
+        """Ask the kind."""
+        part, own, z = self._own(output, z)
+        return part.outside_region(own, z, told)
+
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
+        """Ask the kind."""
+        part, own, z = self._own(output, z)
+        return part.deviation(own, z, told, age)
+
+    def interval(self, output: int, z: np.ndarray, told: Told,
+                 age: float) -> tuple[float, float] | None:
+        """Ask the kind."""
+        part, own, z = self._own(output, z)
+        return part.interval(own, z, told, age)
+
+    def _own(self, output: int, z: np.ndarray) -> tuple[Batch, int, np.ndarray]:
+        i, own = self.outputs[output]
+        part, rows, k = self.parts[i]
+        return part, own, z[rows, :k]
+
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+        """Ask each kind."""
+        return np.concatenate([np.zeros(0), *(
+            part.reach(slopes, ages, direct) for part, _, _ in self.parts)])

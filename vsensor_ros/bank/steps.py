@@ -1,0 +1,303 @@
+"""
+Every virtual sensor of a design, in step on one grid of times.
+
+There is no clock: stamps and `now` are arguments, in integer nanoseconds. The state at each grid
+time of the recent past is kept. A reading or a command that arrives late, that is with a stamp
+before the state's time, takes everything back to the last grid time that it does not change, and
+what comes after is integrated again: held readings become interpolated ones.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vsensor_ros.bank.composite import batch_of
+from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
+from vsensor_ros.bank.measured import Measured
+from vsensor_ros.bank.readings import Samples
+from vsensor_ros.observers import Design, Told
+from vsensor_ros.reason import Reason
+
+_LONGEST = 1000  # steps that can be taken back, at most
+_REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
+
+
+class State(NamedTuple):
+    """All virtual sensors at the grid time t_0 + tick * period."""
+
+    tick: int
+    z: np.ndarray  # (V, k), of no meaning where not running
+    running: np.ndarray  # (V,) bool
+    since: np.ndarray  # (V,) tick at which it started
+    restarts: np.ndarray  # (V,) how often it became infinite
+    outside: np.ndarray  # (V,) steps with an argument outside its domain
+    told: Told
+
+
+class Steps:
+    """
+    Every virtual sensor of a design, in step, on the fixed grid t_k = t_0 + k * period.
+
+    t_0 is the stamp of the first thing taken. A virtual sensor starts, from its initial state,
+    at the first grid time at which all that it needs is there, and stops when a reading that it
+    needs is older than its max_age; it starts anew when that reading is back.
+    """
+
+    def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
+                 jump_ahead: float | None = None) -> None:
+        """
+        Prepare for a rate [Hz] and readings of at most max_age [s], at least three periods.
+
+        max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
+        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. Raises
+        ValueError, one line, when a number does not suit the design.
+        """
+        if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
+            raise ValueError(f'rate: {rate} is not a rate in Hz; give a number above 0')
+        if design.sample_time is not None and abs(rate * design.sample_time - 1.0) > 1e-6:
+            raise ValueError(f'rate: {rate:g} Hz does not suit a plant with the sample time '
+                             f'{design.sample_time:g} s; give {1.0 / design.sample_time:g}')
+        for name in set(design.sensors) & set(design.inputs):
+            raise ValueError(f'{name}: is both a sensor and a command; rename one')
+        self.sensors, self.inputs = design.sensors, design.inputs
+        self.period = round(1e9 / rate)
+        ages = ages_of(design.sensors, max_age, 3 * self.period)
+        # steps that can be taken back; readings from before are as they were held
+        self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
+        if jump_ahead is not None and not jump_ahead > 0.0:
+            raise ValueError(f'jump_ahead: {jump_ahead} is not a time in s; give a number above 0')
+        self._jump = _LONGEST if jump_ahead is None else max(
+            3, min(round(min(jump_ahead, 1e9) * 1e9 / self.period), 10 * _LONGEST))
+        # a discrete plant's readings are of the instants at which its commands begin
+        Cu = design.Cu if design.sample_time is None else None
+        Cu = Cu if Cu is not None and Cu.any() else None
+        self._batch = batch_of(design, self.period * 1e-9, Cu)
+        self._step = self._batch.step if len(self._batch.runs_on) else None
+        self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
+        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None)
+        self._measured = Measured(self._batch, ages, self.period, Cu)
+        # what was not used, but of isolated sensors, by channel and reason
+        self.refused: Counter[tuple[str, Reason]] = Counter()
+        self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget readings, commands and states; counters, distrust and what is believed go on."""
+        self._told.reset()
+        self._measured.reset()
+        self._farewells: dict[str, tuple[int, float] | None] = {}
+        self._origin: int | None = None
+        self._now: int | None = None
+        self._began: int | None = None  # the clock's first time
+        self._restart()
+
+    def _restart(self) -> None:
+        self._past: deque[State] = deque()
+        self._settled: list[State] = []  # from before the past, for the record
+        self._measured.restart()
+        self._redo: int | None = None  # the last index that late data leaves as it was
+        self._credit = self._span  # steps that may be redone now
+        self._estimates: np.ndarray | None = None  # (O,) now, once they were asked for
+        self._unseen: np.ndarray | None = None  # (O,) now, likewise
+
+    @property
+    def time(self) -> int | None:
+        """Time of the state [ns]: the last grid time, or None before anything was taken."""
+        return self._at(self._past[-1].tick) if self._past else None
+
+    # ------------------------------------------------------------------------ what comes in
+
+    def take(self, name: str, stamp: int, value: float, now: int | None = None) -> Reason | None:
+        """
+        Accept a reading or a command at its stamp [ns]; return None, or why it is not used.
+
+        now: the time by which a stamp lies ahead of the clock; by default a period after that of
+        `advance`. Of two commands with one stamp (their messages have none of their own) the later
+        one counts. Readings of an isolated sensor are kept all the same, for `residual`.
+        """
+        latest = math.inf if self._now is None else max(
+            self._now, self._now + self.period if now is None else now)
+        changed = self._told.take(name, int(stamp), float(value), latest)
+        if isinstance(changed, Reason):
+            if changed is not ISOLATED:
+                self.refused[name, changed] += 1
+            return changed
+        if self._origin is None:
+            self._origin = int(stamp)
+        stamps = self._told.samples[name].stamps
+        if len(stamps) > 1 and name in self._told.ages:
+            interval = stamps[-1] - stamps[-2]
+            if not self._measured.is_usual(name, interval) and self._past:
+                self._measured.miss(name, interval, self._past[-1].tick)
+        before = (changed - 1 - self._origin) // self.period
+        if self._past and before < self._past[0].tick and name in self._told.ages and \
+                stamp + self._told.ages[name] < self._at(self._past[0].tick):
+            return None  # too old to count for any state that can be redone
+        if self._redo is None or before < self._redo:
+            self._redo = before
+        return None
+
+    def distrust(self, names: Iterable[str]) -> None:
+        """
+        Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
+
+        Their readings are forgotten and further ones not used, without counting. Every virtual
+        sensor that reads one, or started from one, stops at once, at all times that can be redone
+        too; it starts anew with the first reading from after the sensor has left the set.
+        """
+        names = frozenset(names)
+        unknown = sorted(names - set(self.sensors))
+        if unknown:
+            raise KeyError(f'{", ".join(unknown)}: no such sensor')
+        lost = names - self._told.distrusted
+        for name in lost:
+            self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
+        # it may be trusted at any time before the next step
+        self._told.distrust(names, None if self._now is None else self._now + self.period - 1)
+        if lost:
+            gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
+            stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
+            stop = [s._replace(running=s.running & ~stopped,
+                               told=s.told._replace(there=s.told.there & ~gone))
+                    for s in (*self._settled, *self._past)]
+            self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
+            self._measured.forget(gone[:len(self.sensors)], stopped)
+            self._estimates = self._unseen = None
+
+    def silent(self, name: str, now: int) -> bool:
+        """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
+        return self._told.silent(name, now, self._began)
+
+    def confirmed(self, time: int, without: Iterable[str] = ()) -> bool:
+        """Tell whether every sensor that is not silent, nor named, has said what it is then."""
+        return self._told.confirmed(time, without)
+
+    def _at_grid_time(self, name: str, samples: Samples) -> tuple[int, float] | None:
+        """Return a sensor's last reading, put at the grid time before it: (tick, value)."""
+        if not samples.stamps or not self._past:
+            return None
+        tick = min((samples.stamps[-1] - self._at(0)) // self.period, self._past[-1].tick)
+        value = samples.interpolated(self._at(tick), self._told.ages[name])
+        return None if value is None else (tick, value)
+
+    # ------------------------------------------------------------------------- steps in time
+
+    def advance(self, now: int) -> None:
+        """
+        Bring the state to the last grid time that is not after now [ns].
+
+        A clock that goes back resets the bank; one that jumps ahead by more than jump_ahead
+        restarts the virtual sensors. Both are counted in `jumps`.
+        """
+        if self._now is not None and now < self._now:
+            self.reset()
+            self.jumps['backwards'] += 1
+        first, self._now = self._now is None, now
+        if first:
+            self._began = now
+            self.refused.update(self._told.drop_ahead(now))
+        if self._origin is None:
+            return
+        last = (now - self._origin) // self.period
+        if self._past and last - self._past[-1].tick > self._jump:
+            self._restart()
+            self.jumps['forwards'] += 1
+        self._take_back(last)
+        if self._past and self._past[-1].tick >= last:
+            return
+        with np.errstate(all='ignore'):
+            if not self._past:
+                oldest = self._told.oldest_stamp(now)
+                begin = max((oldest - self._origin) // self.period, last - self._span)
+                if begin > last:
+                    return
+                self._past.append(self._first(begin))
+            while self._past[-1].tick < last:
+                self._past.append(self._next(self._past[-1]))
+        self._estimates = self._unseen = None
+        while self._past[0].tick < last - self._span:
+            self._settled.append(self._past.popleft())
+        if len(self._settled) >= self._measured.record.block:
+            self._settle()
+
+    def _take_back(self, last: int) -> None:
+        """Drop the states that late data changes; wait with it when that is often and far."""
+        if not self._past:
+            self._redo = None
+            return
+        newest = self._past[-1].tick
+        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        if self._redo is None:
+            return
+        steps = newest - max(self._redo, self._past[0].tick)
+        if steps > self._credit:
+            return
+        self._redo = None
+        if steps > 0:
+            self._credit -= steps
+            self._estimates = self._unseen = None
+            while self._past[-1].tick > newest - steps:
+                self._past.pop()
+
+    def _at(self, tick: int) -> int:
+        assert self._origin is not None
+        return self._origin + tick * self.period
+
+    def _first(self, tick: int) -> State:
+        V = len(self._everyone)
+        count = np.zeros(V, dtype=int)
+        return self._start(State(tick, np.zeros((V, self._batch.width)), np.zeros(V, dtype=bool),
+                                 count, count, count, self._told.at(self._at(tick))))
+
+    def _start(self, state: State) -> State:
+        """Start every virtual sensor that does not run and could."""
+        new = ~state.running & ~(self._batch.starts_on & ~state.told.there).any(axis=1)
+        if not new.any():
+            return state
+        z = np.where(new[:, None], self._batch.start(state.told), state.z)
+        new &= np.isfinite(z).all(axis=1)
+        z[~np.isfinite(z)] = 0.0
+        running = state.running | new
+        return state._replace(z=z, running=self._everyone if running.all() else running,
+                              since=np.where(new, state.tick, state.since))
+
+    def _next(self, state: State) -> State:
+        """Step to the next grid time."""
+        z, tick = state.z, state.tick + 1
+        running, restarts, outside = state.running, state.restarts, state.outside
+        told, broken = self._told.at(self._at(tick)), None
+        if self._step is not None and (running is self._everyone or running.any()):
+            commands = self._told.over(self._at(state.tick), self._at(tick))
+            z, out = self._step(z, state.told, told, commands)
+            if out.any():
+                outside = outside + (out & running)
+            alive = running
+            if told.there is not self._told.everything:
+                alive = running & ~(self._batch.runs_on & ~told.there).any(axis=1)
+            if alive is not self._everyone or not (np.abs(z) < LARGEST).all():
+                finite = (np.abs(z) < LARGEST).all(axis=1)
+                broken = alive & ~finite
+                restarts = restarts + broken
+                running = alive & finite
+                z = np.where(running[:, None], z, 0.0)
+        state = State(tick, z, running, state.since, restarts, outside, told)
+        if running is self._everyone:
+            return state
+        if broken is not None and broken.any():
+            return state  # what broke starts anew with the next step
+        return self._start(state)
+
+    def _settle(self) -> None:
+        """Hand over a block of states that nothing can change any more, to be measured."""
+        states, self._settled = self._settled, []
+        ticks, z, running, since, _, _, told = zip(*states)
+        heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
+                          for stamp in self._told.last_stamps()], dtype=int)
+        self._measured.add(np.array(ticks), np.array(z), np.array(running), np.array(since),
+                           Told(*map(np.array, zip(*told))), heard)
+        self._told.forget(self._at(self._past[0].tick))

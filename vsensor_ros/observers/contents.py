@@ -1,0 +1,35 @@
+"""What a design holds, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsensor_ros.observers.entry import Entry, Key, Refusal
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a design file holds: a plant in names, and its entries by fault set and channel."""
+
+    plant_name: str
+    plant_hash: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    sensors: tuple[str, ...]
+    units: dict[str, str]
+    sample_time: float | None
+    # a virtual sensor of several outputs stands under each of them
+    entries: Mapping[Key, Entry | Refusal]
+    wanted: tuple[str, ...] = ()  # functionals that are no sensors: their fault set may be ()
+    Cu: np.ndarray | None = None  # (l, m) what sensors read directly of inputs; None: not known
+
+    def __post_init__(self) -> None:
+        if self.Cu is not None:
+            self.Cu.flags.writeable = False
+
+    def each_once(self) -> tuple[Entry | Refusal, ...]:
+        """Return all entries; a virtual sensor of several outputs counts once."""
+        return tuple({id(entry): entry for entry in self.entries.values()}.values())

@@ -1,0 +1,149 @@
+"""
+The design file: JSON text that holds a design, and nothing else can be read from it.
+
+This is its frame: the plant, what is wanted, the refusals. How a virtual sensor stands in it is
+the business of its kind. The format is described in ``docs/design_file.md``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, check_text, reason
+from vsensor_ros.observers.checked_json import MEND, read_json, Reader
+from vsensor_ros.observers.contents import Contents
+from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.kinds import kind_named, kind_names
+from vsensor_ros.whole_file import write_whole
+
+FORMAT = 'vsensor_ros design'
+VERSION = 4
+OLDEST = 2  # has neither the optional key start nor Cu
+FIRST_WITH_KINDS = 4  # before it all were functional
+
+
+def write(design: Contents, path: str | Path) -> None:
+    """Write a design; raises BadInput. See ``Design.save``."""
+    try:
+        text = json.dumps(_to_record(design), indent=1, default=np.generic.item) + '\n'
+    except (TypeError, ValueError) as error:
+        raise BadInput(path, 'design', f'cannot be written as JSON ({error})',
+                       'make it of numbers and texts') from error
+    _from_record(json.loads(text), path)
+    try:
+        write_whole(path, text)
+    except (OSError, ValueError) as error:
+        raise BadInput(path, 'design file', f'cannot be written ({reason(error)})',
+                       'name a file in a folder that exists and is writable') from error
+
+
+def read(path: str | Path) -> Contents:
+    """Read a design; raises BadInput. See ``Design.load``."""
+    return _from_record(read_json(path), path)
+
+
+def _to_record(design: Contents) -> dict[str, Any]:
+    return {
+        'format': FORMAT,
+        'version': VERSION,
+        'plant': {
+            'name': design.plant_name,
+            'hash': design.plant_hash,
+            'sample_time': design.sample_time,
+            'states': list(design.states),
+            'inputs': list(design.inputs),
+            'sensors': list(design.sensors),
+            'units': dict(design.units),
+            **({} if design.Cu is None else {'Cu': design.Cu.tolist()}),
+        },
+        'wanted': list(design.wanted),
+        'entries': [_entry_record(entry) for entry in design.each_once()],
+    }
+
+
+def _entry_record(entry: Entry | Refusal) -> dict[str, Any]:
+    if isinstance(entry, Refusal):
+        return asdict(entry)
+    return {'kind': entry.kind, 'channel': entry.channel, 'fault_set': list(entry.fault_set),
+            **kind_named(entry.kind).write(entry)}
+
+
+def _from_record(record: Any, path: str | Path) -> Contents:
+    if not isinstance(record, dict) or record.get('format') != FORMAT:
+        raise BadInput(path, 'format', f'is not {FORMAT!r}', 'name a file that the designer wrote')
+    top = Reader(path, '', record)
+    version = top.get('version', int, 'a whole number')
+    if not OLDEST <= version <= VERSION:
+        mend = 'update vsensor_ros' if version > VERSION else MEND
+        raise top.fail('version', f'is {str(version):.20}; this vsensor_ros reads {OLDEST} to '
+                       f'{VERSION}', mend)
+    top.only(('format', 'version', 'plant', 'wanted', 'entries'))
+    plant = top.object('plant')
+    plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu'))
+    states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
+    sample_time = None
+    if plant.record.get('sample_time', 0) is not None:
+        sample_time = plant.number('sample_time')
+        if sample_time <= 0:
+            raise plant.fail('sample_time', 'must be positive')
+    units = plant.get('units', dict, 'an object')
+    for text in (*units, *units.values()):
+        check_text(text, path, 'plant.units')
+    wanted = top.names('wanted')
+    for name in wanted:
+        if name in sensors:
+            raise top.fail('wanted', f'{name} is a sensor')
+    Cu = plant.array('Cu', len(sensors), len(inputs)) if 'Cu' in plant.record else None
+    entries: dict[Key, Entry | Refusal] = {}
+    design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
+                      sample_time, entries, wanted, Cu)
+    for reader in top.objects('entries'):
+        channel, fault_set = _read_key(reader, design)
+        entry: Entry | Refusal
+        outputs: tuple[str, ...]
+        if 'reason' in reader.record:
+            entry, outputs = _read_refusal(reader, channel, fault_set), (channel,)
+        else:
+            entry = _read_virtual_sensor(reader, channel, fault_set, design, version)
+            outputs = entry.outputs
+        for output in outputs:
+            if (fault_set, output) in entries:
+                raise reader.fail('channel', f'{output} stands there twice for this fault set')
+            entries[fault_set, output] = entry
+    return design
+
+
+def _read_key(reader: Reader, design: Contents) -> tuple[str, tuple[str, ...]]:
+    channel = reader.text('channel')
+    fault_set = reader.names('fault_set')
+    if not set(fault_set) <= set(design.sensors):
+        raise reader.fail('fault_set', 'names a sensor that the plant does not have')
+    if fault_set != tuple(name for name in design.sensors if name in fault_set):
+        raise reader.fail('fault_set', 'is not in the order of the sensors')
+    if channel not in (*fault_set, *design.wanted):
+        raise reader.fail('channel', f'{channel:.80} is not in its fault set')
+    return channel, fault_set
+
+
+def _read_refusal(reader: Reader, channel: str, fault_set: tuple[str, ...]) -> Refusal:
+    reader.only(('channel', 'fault_set', 'reason', 'doubts', 'alternative'))
+    return Refusal(channel, fault_set, reader.text('reason'), reader.texts('doubts'),
+                   reader.text('alternative'))
+
+
+def _read_virtual_sensor(reader: Reader, channel: str, fault_set: tuple[str, ...],
+                         design: Contents, version: int) -> Entry:
+    name, own = 'functional', ['channel', 'fault_set']
+    if version >= FIRST_WITH_KINDS:
+        name = reader.word('kind', kind_names())
+        own.append('kind')
+    entry = kind_named(name).read(reader.without(own), channel, fault_set, design, version)
+    known = {*fault_set, *design.wanted}
+    if channel not in entry.outputs or not known.issuperset(entry.outputs):
+        raise reader.fail('outputs', 'are not its channel and others of its fault set, or wanted')
+    return entry

@@ -1,0 +1,96 @@
+"""What the bank asks of the virtual sensors of one kind, all of a design at once."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from vsensor_ros.observers.entry import Key
+from vsensor_ros.reason import Reason
+
+
+class Told(NamedTuple):
+    """What L sensors and m commands said at one time of the bank's grid."""
+
+    y: np.ndarray  # (L,) readings, 0 where there is none
+    there: np.ndarray  # (L + m,) bool: which readings and commands there are
+    held: np.ndarray  # (m,) commands that hold from then on; (0,) when nobody asks for them
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Batch(ABC):
+    """
+    V virtual sensors with O outputs, O >= V, and the states z (V, k) of them all.
+
+    Arrays of V are by virtual sensor, those of O by output. What a kind has nothing to say of
+    keeps its default. Methods must not change what they are given, and must not fail for
+    numbers that are not finite.
+    """
+
+    keys: tuple[Key, ...]  # O: fault set and name of each output
+    of: np.ndarray  # (O,) int: which virtual sensor says it
+    width: int  # k, states of a virtual sensor at most; all else is 0
+    runs_on: np.ndarray  # (V, L + m) bool: readings and commands without which each stops
+    starts_on: np.ndarray  # (V, L + m) bool: and those it needs to start
+    own: np.ndarray  # (O,) int: the sensor that an output stands in for; -1: none
+    # (O,) steady-state standard deviation, beyond what `deviation` says; NaN: not known
+    error: np.ndarray
+    assumed: np.ndarray  # (O,) bool: that is made of default figures
+    slowest: np.ndarray  # (O,) s, the largest time constant: over which deviations die out
+    warm_up: np.ndarray  # (O,) s from its start until nothing of that is left; inf: not known
+    proved: np.ndarray  # (O,) bool: that it converges
+    wants_held: bool = False  # whether it reads Told.held
+    # entries that cannot be run, and why
+    left_out: Mapping[Key, Reason] = field(default_factory=dict)
+
+    @abstractmethod
+    def start(self, told: Told) -> np.ndarray:
+        """Return the states (V, k) with which to start; what is not finite does not start."""
+
+    @abstractmethod
+    def step(self, z: np.ndarray, before: Told, after: Told,
+             commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Step the states (V, k) over one period.
+
+        Commands (3, m): at both ends, as a straight line, and their mean. Return the states, and
+        who saw an argument outside of a function's domain (V,) bool.
+        """
+
+    @abstractmethod
+    def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return the outputs (.., O) of states (.., V, k), readings (.., L), commands (.., m)."""
+
+    def waiting(self, output: int, z: np.ndarray, age: float) -> float:
+        """Return the time [s] until it is ready, at an age [s]; inf: that is not known."""
+        return max(0.0, float(self.warm_up[output]) - age)
+
+    def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
+        """Return why its estimate is not to be used, now or any more; None: it is."""
+        return None
+
+    def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
+        """Tell whether it runs where nothing is proved of it."""
+        return False
+
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
+        """Return the standard deviation at an age [s], beside `error` and what was measured."""
+        return 0.0
+
+    def interval(self, output: int, z: np.ndarray, told: Told,
+                 age: float) -> tuple[float, float] | None:
+        """Return between what bounds the truth is for certain; None: there are none."""
+        return None
+
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+        """
+        Return how far outputs (O,) may be off, one standard deviation.
+
+        That is when readings have moved at these slopes (L,) [1/s], unseen for these ages (L,)
+        [s]; direct: they are still held, and not only felt in the states.
+        """
+        return np.zeros(len(self.keys))

@@ -1,0 +1,146 @@
+"""The functional observers of a design for the bank, stacked over all L sensors of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vsensor_ros.observers.contents import Contents
+from vsensor_ros.observers.kinds.batch import Batch, Told
+from vsensor_ros.observers.kinds.functional.convergence import (
+    converge,
+    Convergence,
+    reading_gains,
+    reading_pushes,
+    Region,
+    region_of,
+)
+from vsensor_ros.observers.kinds.functional.step import make_step, pad, Step, widen
+from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
+from vsensor_ros.reason import Reason
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FunctionalBatch(Batch):
+    """V functional observers of one row each, so that O is V; commands are m."""
+
+    fused: Step | None  # None: there is none
+    z0: np.ndarray  # (V, k)
+    z0_gain: np.ndarray  # (V, k, L)
+    Cv: np.ndarray  # (V, k)
+    Q: np.ndarray  # (V, L)
+    Qu: np.ndarray | None  # (V, m); None: nothing reads a command directly
+    gains: np.ndarray  # (V, L) peak over frequency of each reading's gain to vhat
+    pushes: np.ndarray  # (V, L) 1/s, peak over time of vhat after an impulse of a reading in z
+    sample_time: float  # s; 0: continuous
+    convergence: tuple[Convergence, ...]
+    regions: tuple[Region | None, ...]  # of the certificates, over all L readings
+
+    def start(self, told: Told) -> np.ndarray:
+        """Return z0 + z0_gain y."""
+        return np.asarray(self.z0 + self.z0_gain @ told.y)
+
+    def step(self, z: np.ndarray, before: Told, after: Told,
+             commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Step all at once, see step.py."""
+        assert self.fused is not None
+        return self.fused(z, before.y, after.y, *commands, before.held, after.held)
+
+    def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return vhat (.., V) for states (.., V, k), readings (.., L), commands (.., m)."""
+        found = (self.Cv * z).sum(axis=-1) + y @ self.Q.T
+        return found if self.Qu is None else found + held @ self.Qu.T
+
+    def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
+        """Tell whether an argument of a virtual sensor is where nothing is proved of it."""
+        region = self.regions[output]
+        if region is None:
+            return False
+        w = region.Gz @ z[output, :region.Gz.shape[1]] + region.Gy @ told.y
+        if told.held.size:
+            w = w + region.Gu @ told.held
+        return bool((w < region.low).any() or (w > region.high).any())
+
+    def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
+        """Return what is left of the unknown start."""
+        return self.convergence[output].deviation(age)
+
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+        """
+        Return how far vhat (V,) may be off when readings have moved unseen.
+
+        A reading that moves at its slope puts vhat off by no more than its peak gain allows. Nor
+        by more than a ramp of it does, through Q (if direct) and through z.
+        """
+        through = self.pushes * ages * (ages + self.sample_time) / 2
+        if direct:
+            through = np.abs(self.Q) * ages + through
+        reach = np.minimum(self.gains * ages, through)
+        moved: np.ndarray = np.where(reach > 0.0, reach * slopes, 0.0)
+        return np.linalg.norm(moved, axis=1)
+
+
+def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float,
+               Cu: np.ndarray | None) -> FunctionalBatch:
+    """Stack all virtual sensors of one row, for steps of so many seconds and clean readings."""
+    sensors = design.sensors
+    kept = [v for v in entries if len(v.Cv) == 1]
+    clean = [v if Cu is None else _cleaned(v, Cu[[sensors.index(s) for s in v.healthy]])
+             for v in kept]
+    V, L, m = len(kept), len(sensors), len(design.inputs)
+    k = max((v.order for v in kept), default=0)
+    # pad one more and drop it, so that a design without virtual sensors has shapes, too
+    z0_gain = pad([widen(v, sensors, v.z0_gain) for v in kept] + [np.zeros((k, L))])[:-1]
+    runs_on = np.array([_needs(v, sensors) for v in kept], dtype=bool).reshape(V, L + m)
+    starts_on = runs_on.copy()
+    starts_on[:, :L] |= z0_gain.any(axis=1)
+    direct = any(v.Qu.any() or any(v.Gu[i].any() for i in v.active) for v in clean)
+    convergence = tuple(converge(v) for v in kept)
+    return FunctionalBatch(
+        keys=tuple((v.fault_set, v.channel) for v in kept),
+        of=np.arange(V),
+        width=k,
+        runs_on=runs_on,
+        starts_on=starts_on,
+        own=np.array([sensors.index(v.channel) if v.channel in sensors else -1 for v in kept],
+                     dtype=int),
+        error=np.array([np.nan if v.noise is None else v.noise.error for v in kept]),
+        assumed=np.array([v.noise is None or v.noise.assumed for v in kept], dtype=bool),
+        slowest=np.array([c.slowest for c in convergence]),
+        warm_up=np.array([c.warm_up for c in convergence]),
+        proved=np.array([c.proved for c in convergence], dtype=bool),
+        wants_held=direct,
+        left_out={(v.fault_set, v.channel): Reason.of(
+            'several rows', channel=v.channel, rows=len(v.Cv)) for v in entries if len(v.Cv) > 1},
+        fused=make_step(clean, sensors, period) if kept else None,
+        z0=pad([v.z0 for v in kept] + [np.zeros(k)])[:-1],
+        z0_gain=z0_gain,
+        Cv=pad([v.Cv[0] for v in kept] + [np.zeros(k)])[:-1],
+        Q=pad([widen(v, sensors, v.Q[0]) for v in kept] + [np.zeros(L)])[:-1],
+        Qu=np.array([v.Qu[0] for v in clean]) if direct else None,
+        gains=pad([widen(v, sensors, reading_gains(v)) for v in kept] + [np.zeros(L)])[:-1],
+        pushes=pad([widen(v, sensors, reading_pushes(v)) for v in kept] + [np.zeros(L)])[:-1],
+        sample_time=design.sample_time or 0.0,
+        convergence=convergence,
+        regions=tuple(_widened(v, sensors) for v in clean))
+
+
+def _widened(v: VirtualSensor, sensors: tuple[str, ...]) -> Region | None:
+    region = region_of(v)
+    return None if region is None else region._replace(Gy=widen(v, sensors, region.Gy))
+
+
+def _cleaned(v: VirtualSensor, Cu0: np.ndarray) -> VirtualSensor:
+    """Rewrite v for readings C0 x, out of which the bank has taken Cu0 u (l0, m) itself."""
+    def added(now: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        more = gain @ Cu0
+        return np.where(np.abs(now + more) < 1e-12 * (np.abs(now) + np.abs(more)), 0.0, now + more)
+    return replace(v, B=added(v.B, v.J), Qu=added(v.Qu, v.Q),
+                   Gu=tuple(added(gu, gy) for gu, gy in zip(v.Gu, v.Gy)))
+
+
+def _needs(v: VirtualSensor, sensors: Iterable[str]) -> list[bool]:
+    """Tell which sensors, then which commands, v cannot run without."""
+    return [name in v.reads for name in sensors] + [name in v.commands for name in v.inputs]

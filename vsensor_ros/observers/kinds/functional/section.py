@@ -1,0 +1,210 @@
+"""The section of the design file that holds a virtual sensor of the kind functional."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vsensor_ros.functions.nonlinearity import check_term, NonlinearTerm
+from vsensor_ros.observers.checked_json import INF, LARGEST_SIDE, or_null, Reader
+from vsensor_ros.observers.contents import Contents
+from vsensor_ros.observers.kinds.functional.virtual_sensor import is_stable, VirtualSensor
+from vsensor_ros.observers.knowledge import Certificate, Limit
+from vsensor_ros.observers.knowledge_section import (
+    noise_record,
+    proof_record,
+    read_noise,
+    read_proof,
+    read_rung,
+    rung_record,
+)
+
+_ARRAYS = ('Phi', 'N', 'J', 'B', 'P', 'Cv', 'Q', 'Qu', 'z0', 'z0_gain')
+_KEYS = frozenset((
+    'healthy', 'order', 'method', 'grade', 'noise_gain', 'disturbance_gain', 'eigenvalues',
+    'terms', 'proof', 'ladder', 'noise', 'certificate', 'start', *_ARRAYS))
+
+
+def write_section(v: VirtualSensor) -> dict[str, Any]:
+    """Return what the design file says of v, but for its kind, channel and fault set."""
+    return {
+        'healthy': list(v.healthy),
+        'order': v.order,
+        'method': v.method,
+        'grade': v.grade,
+        'noise_gain': v.noise_gain,
+        'disturbance_gain': v.disturbance_gain,
+        'eigenvalues': [[float(e.real), float(e.imag)] for e in v.eigenvalues],
+        **{key: getattr(v, key).tolist() for key in _ARRAYS},
+        'terms': [{'name': t.name, 'function': t.text, 'slope': t.slope.tolist(),
+                   'Gz': gz.tolist(), 'Gy': gy.tolist(), 'Gu': gu.tolist()}
+                  for t, gz, gy, gu in zip(v.terms, v.Gz, v.Gy, v.Gu)],
+        'proof': proof_record(v.proof),
+        'ladder': [rung_record(rung) for rung in v.ladder],
+        'noise': noise_record(v.noise),
+        'certificate': None if v.certificate is None else _certificate_record(v.certificate),
+        **({} if v.start is None else {'start': v.start.tolist()}),
+    }
+
+
+def _certificate_record(c: Certificate) -> dict[str, Any]:
+    return {
+        'status': c.status,
+        'rate': or_null(c.rate),
+        'bound': or_null(c.bound),
+        'S': c.S.tolist(),
+        'region': [{'term': term, 'argument': argument, 'low': or_null(low, -INF),
+                    'high': or_null(high)} for term, argument, low, high in c.region],
+        'lipschitz': None if c.lipschitz is None else [or_null(side) for side in c.lipschitz],
+        'reason': c.reason,
+    }
+
+
+def read_section(reader: Reader, channel: str, fault_set: tuple[str, ...], plant: Contents,
+                 version: int) -> VirtualSensor:
+    """Read what write_section wrote, or an earlier version; raises BadInput."""
+    reader.only(_KEYS)
+    healthy = reader.names('healthy')
+    if healthy != tuple(s for s in plant.sensors if s not in fault_set):
+        raise reader.fail('healthy', 'is not the sensors without the fault set')
+    k = reader.whole('order')
+    n, l0, m = len(plant.states), len(healthy), len(plant.inputs)
+    # a sensor's channel is one number, a wanted functional may be several
+    p = len(reader.get('Cv', list, 'a list of rows')) if channel in plant.wanted else 1
+    if not 1 <= p <= LARGEST_SIDE:
+        raise reader.fail('Cv', f'must have 1 to {LARGEST_SIDE} rows')
+    N = reader.array('N', k, k)
+    eigenvalues = np.linalg.eigvals(N).astype(complex)
+    if not is_stable(eigenvalues, plant.sample_time):
+        raise reader.fail('N', 'is unstable (eigenvalue '
+                          f'{_worst(eigenvalues, plant.sample_time):.6g})')
+    stored = reader.array('eigenvalues', k, 2)
+    if not _same_spectrum(stored[:, 0] + 1j * stored[:, 1], eigenvalues, N):
+        raise reader.fail('eigenvalues', 'are not those of N')
+    terms, Gz, Gy, Gu = [], [], [], []
+    for item in reader.objects('terms'):
+        item.only(('name', 'function', 'slope', 'Gz', 'Gy', 'Gu'))
+        r = len(item.get('slope', list, 'a list of numbers'))
+        term = NonlinearTerm(item.text('name'), item.text('function'), item.array('slope', r))
+        check_term(term, plant.inputs, reader.path, f'{item.place}function')
+        terms.append(term)
+        Gz.append(item.array('Gz', r, k))
+        Gy.append(item.array('Gy', r, l0))
+        Gu.append(item.array('Gu', r, m))
+    grade = reader.word('grade', ('exact', 'bounded'))
+    v = VirtualSensor(
+        channel, fault_set, healthy, plant.inputs, reader.array('Phi', k, n), N,
+        reader.array('J', k, l0), reader.array('B', k, m), reader.array('P', k, len(terms)),
+        reader.array('Cv', p, k), reader.array('Q', p, l0), tuple(Gz), tuple(Gy), tuple(terms),
+        plant.sample_time, reader.array('z0', k), reader.array('z0_gain', k, l0),
+        stored[:, 0] + 1j * stored[:, 1], reader.size('noise_gain'), reader.text('method'),
+        reader.array('Qu', p, m), tuple(Gu), grade, reader.size('disturbance_gain'),
+        read_proof(reader.optional('proof'), k, grade),
+        tuple(read_rung(item) for item in reader.objects('ladder')),
+        read_noise(reader.optional('noise')), start=_read_start(reader, k))
+    certificate = reader.optional('certificate')
+    return v if certificate is None else replace(
+        v, certificate=_read_certificate(certificate, v, version))
+
+
+def _read_certificate(reader: Reader, v: VirtualSensor, version: int) -> Certificate:
+    reader.only(('status', 'rate', 'bound', 'S', 'region', 'lipschitz', 'reason'))
+    status = reader.word('status', ('global', 'region', 'none'))
+    rate = reader.size('rate', infinite=True)
+    if status == 'none' and rate:
+        raise reader.fail('rate', 'must be 0 where nothing is certified')
+    region = _read_region(reader, v) if version > 3 else _read_named_region(reader, v)
+    if bool(region) != (status == 'region'):
+        raise reader.fail('region', f'does not agree with the status {status}')
+    lipschitz = None
+    if reader.record.get('lipschitz', 0) is not None:
+        lipschitz = reader.pair('lipschitz', (True, True))
+    return Certificate(status, rate, reader.size('bound', infinite=True),
+                       reader.array('S', v.order, v.order), region, lipschitz,
+                       reader.text('reason'))
+
+
+def _read_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
+    region = []
+    for item in reader.objects('region'):
+        item.only(('term', 'argument', 'low', 'high'))
+        term, count = None, len(v.inputs)
+        if item.record.get('term', 0) is not None:
+            term = item.whole('term')
+            if term >= len(v.terms):
+                raise item.fail('term', f'{term}: there are {len(v.terms)}, counted from 0')
+            count = len(v.terms[term].slope)
+        argument = item.whole('argument')
+        if argument >= count:
+            raise item.fail('argument', f'{argument}: there are {count}, counted from 0')
+        region.append(Limit(term, argument, *_read_limits(item)))
+    return tuple(region)
+
+
+def _read_named_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
+    """
+    Read a region as it stood in the file before version 4: as texts.
+
+    The designer listed each argument by which the estimate feeds its terms, equal ones once, and
+    then commands.
+    """
+    arguments: dict[bytes, tuple[int, int]] = {}
+    for i in v.active:
+        for j, rows in enumerate(zip(v.Gz[i], v.Gy[i])) if v.Gz[i].any() else ():
+            arguments.setdefault(np.round(np.concatenate(rows), 9).tobytes(), (i, j))
+    items = reader.objects('region')
+    for item in items:
+        item.only(('name', 'low', 'high'))
+    told = [item for item in items if item.text('name') not in v.inputs]
+    if told and len(told) != len(arguments):
+        raise reader.fail('region', f'names {len(told)} arguments of terms; {len(arguments)} feed '
+                          'the estimate')
+    return tuple([Limit(i, j, *_read_limits(item))
+                  for item, (i, j) in zip(told, arguments.values())]
+                 + [Limit(None, v.inputs.index(item.text('name')), *_read_limits(item))
+                    for item in items if item.text('name') in v.inputs])
+
+
+def _read_limits(reader: Reader) -> tuple[float, float]:
+    low, high = reader.limit('low', -INF), reader.limit('high', INF)
+    if not low < high:
+        raise reader.fail('low', 'is not below high')
+    return low, high
+
+
+def _read_start(reader: Reader, k: int) -> np.ndarray | None:
+    if 'start' not in reader.record:
+        return None
+    start = reader.array('start', k, k)
+    if not np.array_equal(start, start.T):
+        raise reader.fail('start', 'is not symmetric')
+    size = np.sqrt(np.abs(np.diag(start)))
+    unit = np.divide(1.0, size, out=np.zeros(k), where=size > 0.0)
+    with np.errstate(all='ignore'):
+        scaled = start * unit * unit[:, None]
+    if not np.isfinite(scaled).all() or start[size == 0.0].any() or (
+            k and np.linalg.eigvalsh(scaled).min() < -1e-6):
+        raise reader.fail('start', 'is not a covariance')
+    return start
+
+
+def _worst(eigenvalues: np.ndarray, sample_time: float | None) -> complex:
+    size = eigenvalues.real if sample_time is None else np.abs(eigenvalues)
+    return complex(eigenvalues[int(np.argmax(size))])
+
+
+def _same_spectrum(stored: np.ndarray, computed: np.ndarray, N: np.ndarray) -> bool:
+    """
+    Compare two spectra through sum and sum of squares.
+
+    The eigenvalues of a matrix that is nearly defective depend on the machine in their last
+    digits by far more than rounding; their power sums do not, down to the rounding of N itself.
+    """
+    tiny = np.finfo(float).tiny
+    scale = max(np.abs(computed).max(initial=tiny), 1e-4 * np.abs(N).max(initial=0.0))
+    with np.errstate(all='ignore'):  # what overflows compares as different
+        return bool(np.isfinite(scale)) and all(
+            abs(np.sum((stored / scale)**p) - np.sum((computed / scale)**p)) <= 1e-6 * len(N)
+            for p in (1, 2))

@@ -1,0 +1,68 @@
+"""How what is known of a virtual sensor stands in the design file, whatever its kind."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from vsensor_ros.observers.checked_json import or_null, Reader
+from vsensor_ros.observers.knowledge import Noise, OrderStep, Proof, Rung
+
+
+def proof_record(proof: Proof | None) -> dict[str, Any] | None:
+    """Write what is proved of the least order."""
+    return None if proof is None else {
+        **asdict(proof),
+        'steps': [{**asdict(s), 'gap': [s.gap[0], or_null(s.gap[1])]} for s in proof.steps]}
+
+
+def rung_record(rung: Rung) -> dict[str, Any]:
+    """Write an order to choose from."""
+    return {**asdict(rung), 'decay': or_null(rung.decay)}
+
+
+def noise_record(noise: Noise | None) -> dict[str, Any] | None:
+    """Write what noise does in steady state."""
+    return None if noise is None else {**asdict(noise), 'floor': or_null(noise.floor)}
+
+
+def read_proof(reader: Reader | None, order: int, grade: str) -> Proof | None:
+    """Read what is proved of the least order."""
+    if reader is None:
+        return None
+    reader.only(('lower', 'upper', 'steps', 'doubts'))
+    lower, upper = reader.whole('lower'), reader.whole('upper')
+    if lower > upper:
+        raise reader.fail('lower', f'{lower} is above upper, {upper}')
+    if grade == 'exact' and upper > order:
+        raise reader.fail('upper', f'{upper} is above the order {order} of this virtual sensor')
+    steps: list[OrderStep] = []
+    for item in reader.objects('steps'):
+        item.only(('order', 'verdict', 'why', 'freedom', 'gap'))
+        step = OrderStep(
+            item.whole('order'), item.word('verdict', ('impossible', 'possible', 'open')),
+            item.text('why'), item.whole('freedom'), item.pair('gap', (False, True)))
+        if steps and step.order <= steps[-1].order:
+            raise item.fail('order', 'is not above that of the step before')
+        if step.verdict == 'impossible' and step.order >= lower:
+            raise item.fail('verdict', f'impossible does not agree with lower, {lower}')
+        if step.verdict == 'possible' and step.order < upper:
+            raise item.fail('verdict', f'possible does not agree with upper, {upper}')
+        steps.append(step)
+    return Proof(lower, upper, tuple(steps), reader.texts('doubts'))
+
+
+def read_rung(reader: Reader) -> Rung:
+    """Read an order to choose from."""
+    reader.only(('order', 'noise', 'noise_gain', 'decay', 'method'))
+    return Rung(reader.whole('order'), reader.size('noise'), reader.size('noise_gain'),
+                reader.size('decay', infinite=True), reader.text('method'))
+
+
+def read_noise(reader: Reader | None) -> Noise | None:
+    """Read what noise does in steady state."""
+    if reader is None:
+        return None
+    reader.only(('error', 'floor', 'assumed'))
+    return Noise(reader.size('error'), reader.size('floor', infinite=True),
+                 reader.flag('assumed'))
