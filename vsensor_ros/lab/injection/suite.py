@@ -32,7 +32,7 @@ DOWN = 1.0          # s in which a replacer that has ended disappears from the g
 TINY = 16           # kB of a /dev/shm that is as good as full
 
 ALL = (START, *SENSOR_CASES, *MESSAGE_CASES, *RESTART_CASES)
-QUICK = frozenset({  # half of them, a minute and a half with the shipped servo: some of each kind
+QUICK = frozenset({  # half of them: some of each kind, those that take the least time
     'start', 'handover', 'freeze', 'drop_out', 'bias', 'nan', 'simultaneous', 'unknown_set',
     'wrong_length', 'burst', 'disorder', 'isolator_restart', 'kill_9', 'paused_clock'})
 
