@@ -170,9 +170,8 @@ def _not_there(context: CaseContext) -> str:
     machine = context.machine
     context.begin()
     with suppress(GaveUp):
-        context.until(lambda: all(d.publisher is not None and d.publisher.get_subscription_count()
-                                  for d in machine.drivers) and machine.statuses > 0, STARTED,
-                      'a replacer that hears all topics and tells its status')
+        context.until(lambda: all(d.heard for d in machine.drivers) and machine.statuses > 0,
+                      STARTED, 'a replacer that hears all topics and tells its status')
     if machine.clock is not None and machine.node.count_publishers('/clock') > 1:
         raise BadInput('fault_injection', '/clock', 'somebody else publishes it',
                        'end that, or try a replacer without use_sim_time')
