@@ -29,7 +29,7 @@ ARROWS = {  # room: what it may import besides itself
     'node': LEAVES | {'engine', 'bank', 'observers'},
     'simulate': LEAVES | {'functions', 'plant'},
     'report': LEAVES | {'functions', 'plant', 'observers', 'designer', 'bank', 'simulate'},
-    'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate', 'command'},
+    'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},
     'command': LEAVES | {'plant', 'observers', 'designer', 'node', 'simulate', 'report', 'lab'},
 }
 WITH_ROS = {'node', 'lab', 'command'}  # the only rooms that may import ROS

@@ -15,6 +15,7 @@ from rclpy.subscription import Subscription
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.config_folder import config_folder
 from vsensor_ros.lab.process import Failed
+from vsensor_ros.node.private_rclpy import taker
 
 DOMAIN_PORT = 27400     # TCP port held while domain 1, 2, .. is in use; the tests hold the same
 
@@ -68,8 +69,9 @@ def open_nodes(*names: str, domain: int | None = None,
 
 def take(subscription: Subscription, raw: bool = False) -> Iterator[tuple[Any, dict[str, Any]]]:
     """Yield what has come: messages, or their bytes if `raw`, each with the middleware's facts."""
+    one = taker(subscription)
     with subscription.handle:
-        while taken := subscription.handle.take_message(subscription.msg_type, raw):
+        while taken := one(subscription.msg_type, raw):
             yield taken
 
 

@@ -16,8 +16,8 @@ from rosgraph_msgs.msg import Clock
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.domain import open_nodes
 from vsensor_ros.lab.parameter_file import read_parameters
-from vsensor_ros.lab.wiring import blank, Port, wiring_of
-from vsensor_ros.node.accessor import has_stamp
+from vsensor_ros.lab.played_driver import drivers_of
+from vsensor_ros.lab.wiring import Port, wiring_of
 from vsensor_ros.simulate.fault import Channel
 from vsensor_ros.simulate.table import read_table
 
@@ -33,27 +33,6 @@ def to_stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
-class _Topic:
-    """One topic and the channels that travel on it."""
-
-    def __init__(self, node: Node, ports: list[Port], channels: dict[str, Channel]) -> None:
-        self.ports = ports
-        self.channels = [channels[port.name] for port in ports]
-        self.message = blank(ports)
-        if has_stamp(ports[0].kind):
-            self.message.header.frame_id = ports[0].source.strip('/')
-        self.publisher = node.create_publisher(ports[0].kind, ports[0].source, 100)
-        # a message goes out when any of its channels speaks; the silent ones are NaN in it
-        self.due = np.any([channel.sent for channel in self.channels], axis=0)
-
-    def publish(self, row: int, stamp: int) -> None:
-        for port, channel in zip(self.ports, self.channels):
-            port.field.put(self.message, channel.value[row] if channel.sent[row] else np.nan)
-        if hasattr(self.message, 'header'):
-            self.message.header.stamp = to_stamp(stamp)
-        self.publisher.publish(self.message)
-
-
 def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed: float,
          simulated: bool = False) -> float:
     """
@@ -63,16 +42,16 @@ def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed
     table. Time is on /clock, too, if it is `simulated`, and with a `speed` other than 1: there it
     runs that much faster than the wall's.
     """
-    by_topic: dict[str, list[Port]] = {}
-    for name in channels:
-        by_topic.setdefault(ports[name].source, []).append(ports[name])
-    topics = [_Topic(node, group, channels) for group in by_topic.values()]
+    drivers = drivers_of(node, (ports[name] for name in channels))
+    plays = [[channels[port.name] for port in driver.ports] for driver in drivers]
+    # a message goes out when any of its channels speaks; the silent ones are NaN in it
+    due = [np.any([channel.sent for channel in each], axis=0) for each in plays]
     start_topic = node.create_publisher(Time, START_TOPIC, LATCHED)
     clock = node.create_publisher(Clock, '/clock', 10) if simulated or speed != 1.0 else None
     complained = time.monotonic() + 10.0
-    while deaf := [t for t in topics if not t.publisher.get_subscription_count()]:
+    while deaf := [d for d in drivers if not d.heard]:
         if time.monotonic() > complained:
-            node.get_logger().warning(f'nobody listens to {deaf[0].ports[0].source} yet')
+            node.get_logger().warning(f'nobody listens to {deaf[0].topic} yet')
             complained += 10.0
         time.sleep(0.01)
 
@@ -82,8 +61,8 @@ def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed
     start_topic.publish(to_stamp(origin))
     late = 0.0
     for row, elapsed in enumerate(times - times[0]):
-        due = wall + elapsed / speed
-        while (left := due - time.monotonic()) > 0.0:
+        when = wall + elapsed / speed
+        while (left := when - time.monotonic()) > 0.0:
             time.sleep(min(left, CLOCK_STEP))
             if clock:
                 passed = min(time.monotonic() - wall, elapsed / speed) * speed
@@ -92,9 +71,9 @@ def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed
         stamp = origin + round(elapsed * 1e9)
         if clock:
             clock.publish(Clock(clock=to_stamp(stamp)))
-        for topic in topics:
-            if topic.due[row]:
-                topic.publish(row, stamp)
+        for driver, each, at in zip(drivers, plays, due):
+            if at[row]:
+                driver.send([c.value[row] if c.sent[row] else np.nan for c in each], stamp)
     time.sleep(0.2)     # let the last messages leave
     return late
 

@@ -26,7 +26,7 @@ DRIVE = frozenset({'duration', 'sensor_rate', 'command_rate', 'inputs', 'initial
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Trajectory:
     """A plant that has run; times in s, values in the channels' units."""
 
     time: Array                     # (T,)
@@ -47,25 +47,26 @@ class Drive:
     initial: list[float]
     noise: Mapping[str, float]      # standard deviation by sensor
 
-    def run(self, plant: Plant, t: Array) -> Run:
+    def run(self, plant: Plant, t: Array) -> Trajectory:
         """Run the plant at times `t` [s] (T,), evenly spaced; raise BadInput if it cannot."""
         steps = np.floor(t * self.command_rate + 1e-9)
         first = np.unique(steps, return_index=True)[1]     # rows at which commands change
         # a continuous plant follows the unknown inputs, a discrete one sees them at its samples
         rho = self.disturbances if plant.sample_time is None else self.disturbances(t)
         try:
-            if self.closed:
-                x, u = self._closed_loop(plant, t, first, rho)
-            else:
-                u = self.law(steps / self.command_rate, np.empty((0, 1)))
-                x = simulate(plant, t, u, rho, self.initial)
+            with np.errstate(all='ignore'):     # what is not finite is refused below
+                if self.closed:
+                    x, u = self._closed_loop(plant, t, first, rho)
+                else:
+                    u = self.law(steps / self.command_rate, np.empty((0, 1)))
+                    x = simulate(plant, t, u, rho, self.initial)
+                y = readings(plant, t, x, u, rho)
         except ArithmeticError as error:
             raise BadInput(self.where, 'simulation', f'does not go on: {error}',
                            'give inputs that it can follow') from None
-        y = readings(plant, t, x, u, rho)
         if not np.isfinite(y).all():
             raise BadInput(self.where, 'simulation', f'{plant.name} runs away', HOLD)
-        return Run(t, dict(zip(plant.sensors, y.T)),
+        return Trajectory(t, dict(zip(plant.sensors, y.T)),
                    {n: Channel.of(t[first], v[first]) for n, v in zip(plant.inputs, u.T)})
 
     def _closed_loop(self, plant: Plant, t: Array, first: NDArray[np.intp], rho: Any,
@@ -82,7 +83,7 @@ class Drive:
                                             x[begin])
         return x, u
 
-    def said(self, run: Run, every: int = 1) -> dict[str, Channel]:
+    def said(self, run: Trajectory, every: int = 1) -> dict[str, Channel]:
         """Return what each sensor says at every so many rows, noise included."""
         random, channels = np.random.default_rng(0), {}
         for name, y in run.readings.items():

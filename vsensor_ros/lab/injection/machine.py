@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import time
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
@@ -18,7 +17,8 @@ from rosgraph_msgs.msg import Clock
 from vsensor_ros.lab.domain import by_hand, take
 from vsensor_ros.lab.injection.truth import Truth
 from vsensor_ros.lab.injection.verdict import Evidence, Out, Stated, StatusHeard
-from vsensor_ros.lab.wiring import blank, Port, Wiring
+from vsensor_ros.lab.played_driver import drivers_of, names_in, PlayedDriver
+from vsensor_ros.lab.wiring import Port, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
 from vsensor_ros.simulate.fault import Channel
 
@@ -28,51 +28,10 @@ REPEAT = 0.5            # s between two messages of the isolator
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATUS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LISTEN = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-NAME_FIELDS = ('name', 'joint_names')
-
-Garble = Callable[[Any], Sequence[Any]]  # a driver's message to those that it sends instead
 
 
 class Exhausted(RuntimeError):
     """The truth that was computed is over."""
-
-
-class Driver:
-    """One topic of the machine and the channels that travel on it."""
-
-    def __init__(self, node: Node, ports: Sequence[Port]) -> None:
-        self.ports, self.topic, self.kind = ports, ports[0].source, ports[0].kind
-        self.stamped = has_stamp(self.kind)
-        self.message = blank(list(ports))
-        self.frame = self.topic.strip('/') if self.stamped else ''
-        if self.stamped:
-            self.message.header.frame_id = self.frame
-        self.names = names_in(self.message)
-        self.garble: Garble | None = None
-        self.publisher: Publisher | None = None
-        self.open(node)
-
-    def open(self, node: Node) -> None:
-        """Begin to publish."""
-        self.publisher = node.create_publisher(self.kind, self.topic, QoSProfile(depth=1000))
-
-    def close(self, node: Node) -> None:
-        """Die; what is to be published is lost."""
-        if self.publisher is not None:
-            node.destroy_publisher(self.publisher)
-            self.publisher = None
-
-    def send(self, values: Sequence[float], stamp: int) -> None:
-        """Publish a value for each port, NaN where it has none."""
-        message = blank(list(self.ports)) if self.garble else self.message
-        for port, value in zip(self.ports, values):
-            port.field.put(message, value)
-        if self.stamped:
-            message.header.frame_id = self.frame
-            put_stamp(message, stamp)
-        for sent in self.garble(message) if self.garble else (message,):
-            if self.publisher is not None:
-                self.publisher.publish(sent)
 
 
 class Machine:
@@ -96,10 +55,7 @@ class Machine:
         self._wall = time.monotonic()
         self.origin = time.time_ns()    # ns, the stamp of time 0
         self._repeated = self._clocked = 0.0
-        by_source: dict[str, list[Port]] = {}
-        for name in truth.said:
-            by_source.setdefault(wiring.ports[name].source, []).append(wiring.ports[name])
-        self.drivers = [Driver(node, ports) for ports in by_source.values()]
+        self.drivers = drivers_of(node, (wiring.ports[name] for name in truth.said))
         self.isolator: Publisher | None = None
         self.open_isolator()
         self.clock = node.create_publisher(Clock, '/clock', 10) if simulated else None
@@ -122,7 +78,7 @@ class Machine:
 
     # ---------------------------------------------------------------------------- the machine
 
-    def driver_of(self, sensor: str) -> Driver:
+    def driver_of(self, sensor: str) -> PlayedDriver:
         """Return who publishes a sensor."""
         return next(d for d in self.drivers if any(p.name == sensor for p in d.ports))
 
@@ -158,7 +114,7 @@ class Machine:
         if wall - self._repeated >= REPEAT and self.faulty:
             self.report()
 
-    def _advance(self, driver: Driver) -> None:
+    def _advance(self, driver: PlayedDriver) -> None:
         """Send every reading that is due; the sensors of one topic share their rows."""
         first = driver.ports[0].name
         times = self.channels[first].time
@@ -256,9 +212,3 @@ class Machine:
         self.heard.outs.append(Out(topic, arrival, said, stamp, at, {
             p.name: value if isinstance(value := p.field.get(message), float) else str(value)
             for p in ports}, frame, names_in(message)))
-
-
-def names_in(message: Any) -> tuple[str, ...]:
-    """Return the names of the elements of a message, () when its type has none."""
-    return next((tuple(getattr(message, f)) for f in NAME_FIELDS
-                 if isinstance(getattr(message, f, None), list)), ())

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from vsensor_ros.lab.domain import open_nodes
 from vsensor_ros.lab.injection.case import BIAS, Case, fail_over, ONE, UNDETECTED
 from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, Skipped, SOON
-from vsensor_ros.lab.injection.machine import Driver, Garble
+from vsensor_ros.lab.played_driver import Garble, PlayedDriver
 from vsensor_ros.node.accessor import get_stamp, put_stamp
 
 BURST = 1000            # messages at once
@@ -73,7 +73,7 @@ def wrong_type(context: CaseContext) -> None:
 
 def burst(context: CaseContext) -> None:
     """Let all drivers send a thousand messages at once, while healthy and while replaced."""
-    def thousand_of(driver: Driver) -> Garble:
+    def thousand_of(driver: PlayedDriver) -> Garble:
         def garble(message: Any) -> Sequence[Any]:
             driver.garble = None
             if not driver.stamped:
@@ -162,9 +162,7 @@ def publisher_restart(context: CaseContext) -> None:
             driver.close(node)
             context.play(0.4)
             driver.open(node)
-            publisher = driver.publisher
-            assert publisher is not None
-            context.until(lambda: publisher.get_subscription_count() > 0, SOON, 'a listener again')
+            context.until(lambda: driver.heard, SOON, 'a listener again')
             context.play(0.3)
         context.detected()
 
@@ -195,11 +193,11 @@ def isolator_restart(context: CaseContext) -> None:
     fail_over(context, begin)
 
 
-def _sensors(context: CaseContext) -> list[Driver]:
+def _sensors(context: CaseContext) -> list[PlayedDriver]:
     return [d for d in context.machine.drivers if d.ports[0].name in context.machine.truth.value]
 
 
-def _not_messages(driver: Driver, draw: random.Random) -> list[bytes]:
+def _not_messages(driver: PlayedDriver, draw: random.Random) -> list[bytes]:
     """Return bytes that no decoder can take for a message of the driver's type."""
     sound = serialize_message(driver.message)
     cut = [sound[:draw.randrange(len(sound) // 2)] for _ in range(100)]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.plant import Plant
-from vsensor_ros.simulate.drive import DRIVE, Drive, HOLD, read_drive, Run
+from vsensor_ros.simulate.drive import DRIVE, Drive, HOLD, read_drive, Trajectory
 from vsensor_ros.simulate.fault import Channel
 from vsensor_ros.simulate.section import Section
 
@@ -103,7 +103,7 @@ def _swinging(plant: Plant, drive: Drive) -> Drive:
     return swinging
 
 
-def _fallen(plant: Plant, run: Run) -> str:
+def _fallen(plant: Plant, run: Trajectory) -> str:
     """Return a sensor that runs away because nothing holds an unstable plant, '' if none does."""
     poles = np.linalg.eigvals(plant.A)
     if not (poles.real > 1e-6 if plant.sample_time is None else np.abs(poles) > 1 + 1e-6).any():
