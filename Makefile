@@ -19,7 +19,7 @@ export OPENBLAS_NUM_THREADS := 1
 
 help:
 	@echo 'make demo    watch failed sensors being replaced on three systems; build/demo'
-	@echo 'make test    the test suite (ARGS="-k name" for a part of it)'
+	@echo 'make test    the tests but the slow ones (ARGS="-k name": a part; ARGS="-m slow": those)'
 	@echo 'make lint    ruff and mypy'
 	@echo 'make bench   what replacer and designer cost, beside peers (ARGS="--only designer")'
 	@echo 'make clean   remove all that make made'
@@ -28,7 +28,7 @@ demo: set-up
 	@$(RUN) -m vsensor_ros.command.demo --output build/demo $(ARGS)
 
 test: set-up
-	@ROS_PYTHON_CHECK_FIELDS=1 $(RUN) -m pytest $(ARGS)
+	@ROS_PYTHON_CHECK_FIELDS=1 $(RUN) -m pytest -m 'not slow' $(ARGS)
 
 lint: set-up
 	@$(RUN) -m ruff check .

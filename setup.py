@@ -34,11 +34,11 @@ setup(
         (f'lib/{package_name}', [f'scripts/{name}' for name in (
             'demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer')]),
     ],
-    # On the PATH: the two that have a name worth a place there.
+    # On the PATH, where a bare `designer` would collide with anybody's.
     entry_points={
         'console_scripts': [
-            f'designer = {package_name}.command.designer:main',
-            f'replacer = {package_name}.command.replacer:main',
+            f'vsensor_designer = {package_name}.command.designer:main',
+            f'vsensor_replacer = {package_name}.command.replacer:main',
         ],
     },
 )

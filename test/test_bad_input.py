@@ -1,6 +1,8 @@
 """The one line for bad input."""
 
-from vsensor_ros.bad_input import BadInput, shown
+import pytest
+
+from vsensor_ros.bad_input import BadInput, reason, shown
 
 
 def test_parts_and_line():
@@ -14,6 +16,13 @@ def test_parts_and_line():
 def test_always_one_printable_line_of_bounded_length():
     line = str(BadInput('a\nb', 'k' * 9999, 'p\r\n\x1b[31m' + 'p' * 9999, 'm\x00' * 9999))
     assert line.isprintable() and len(line) < 1000
+
+
+@pytest.mark.parametrize('error', [
+    ValueError('embedded null byte'), ValueError('lstat: embedded null character in path')])
+def test_every_python_gives_the_same_reason(error):
+    assert reason(error) == 'embedded null byte'
+    assert reason(FileNotFoundError(2, 'No such file')) == 'No such file'
 
 
 def test_shown_is_quoted_and_cut():

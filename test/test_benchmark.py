@@ -39,6 +39,7 @@ def assert_numbers(rows):
         assert row.ours > 0.0 and row.peer > 0.0 and math.isfinite(row.ratio), row
 
 
+@pytest.mark.slow
 def test_processes_run_in_turns_and_failed_sensors_are_replaced(monkeypatch):
     monkeypatch.setattr(rigs, 'SETTLE', 0.1)
     monkeypatch.setattr(jitter, 'SETTLE', 0.1)

@@ -2,7 +2,9 @@
 
 import ast
 from configparser import ConfigParser
-from importlib.util import find_spec
+from graphlib import CycleError, TopologicalSorter
+from importlib.metadata import entry_points
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 import os
 from pathlib import Path
 import re
@@ -82,15 +84,25 @@ def copy_of_sources(folder):
     return folder
 
 
-def assert_placed(prefix):
-    """Check that a prefix holds what `ros2 run` looks for and every module; return its folder."""
+def assert_found_by_ros2(prefix):
+    """Check that a prefix holds what `ros2 run` and `ros2 launch` look for."""
     assert (prefix / 'share/ament_index/resource_index/packages/vsensor_ros').is_file()
     assert (prefix / 'share/vsensor_ros/package.xml').is_file()
     executables = {path.name for path in (prefix / 'lib/vsensor_ros').iterdir()
                    if os.access(path, os.X_OK)}
     assert executables == set(COMMANDS)
-    for folder in ('config', 'launch'):
-        assert files_below(prefix / 'share/vsensor_ros' / folder) == files_below(ROOT / folder)
+    share = prefix / 'share/vsensor_ros'
+    assert files_below(share / 'config') == files_below(ROOT / 'config')
+    # as `ros2 launch` does, which follows no links to folders
+    found = {Path(folder, name).relative_to(share / 'launch')
+             for folder, _, names in os.walk(share) for name in names
+             if name.endswith('.launch.py')}
+    assert found == files_below(ROOT / 'launch') != set()
+
+
+def assert_placed(prefix):
+    """Check that a prefix holds what ROS looks for and every module; return their folder."""
+    assert_found_by_ros2(prefix)
     library = next(prefix.glob('lib/python*/site-packages'))
     assert files_below(library / 'vsensor_ros') == files_below(PACKAGE)
     return library
@@ -125,6 +137,9 @@ def test_every_import_is_declared():
         for line in text.split()
     }
     xml = (ROOT / 'package.xml').read_text()
+    for path in (ROOT / 'launch').glob('*.py'):
+        for name in {name.split('.')[0] for name in imports_of(path)}:
+            assert f'<exec_depend>{name}</exec_depend>' in xml, f'{path}: {name}'
     for path in SOURCES:
         for name in {name.split('.')[0] for name in imports_of(path)}:
             if name in sys.stdlib_module_names or name == 'vsensor_ros':
@@ -146,6 +161,36 @@ def test_import_arrows(path):
     assert rooms <= ARROWS[room] | {room}
     if room not in WITH_ROS:
         assert not any(is_ros(name.split('.')[0]) for name in imported)
+
+
+def files_imported_by(path):
+    """Return the files of the package that a file imports, wherever in it."""
+    files = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            files |= {file_of(alias.name) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):  # of a file of the room, or of the room itself
+            files |= {file_of(f'{node.module}.{alias.name}') or file_of(node.module)
+                      for alias in node.names}
+    return files - {path, None}
+
+
+def file_of(name):
+    """Return the file of a module of the package, or None."""
+    place = ROOT / name.replace('.', '/')
+    return next((file for file in (place.with_suffix('.py'), place / '__init__.py')
+                 if file in SOURCES), None)
+
+
+def test_imports_run_in_no_circle():
+    """Neither when a module is loaded, nor later in a function."""
+    front_door = PACKAGE / '__init__.py'  # opens each room when it is asked for
+    graph = {path: files_imported_by(path) for path in SOURCES if path != front_door}
+    assert sum(map(len, graph.values())) > 100
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(' <- '.join(str(path.relative_to(PACKAGE)) for path in error.args[1]))
 
 
 @pytest.mark.parametrize('path', [p for p in SOURCES if p.parent.name == 'injection'],
@@ -199,13 +244,32 @@ def test_executable(name):
     assert 'main' in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
+def test_make_links_what_an_editable_install_leaves_out(tmp_path, monkeypatch):
+    spec = spec_from_file_location('make_venv', ROOT / 'tools' / 'make_venv.py')
+    make_venv = module_from_spec(spec)
+    spec.loader.exec_module(make_venv)
+    monkeypatch.setattr(make_venv, 'VENV', tmp_path)
+    make_venv.link_ament_index()
+    assert_found_by_ros2(tmp_path)
+
+
+def test_names_on_the_path_are_ours_alone():
+    scripts = [script for script in entry_points(group='console_scripts')
+               if script.value.startswith('vsensor_ros.')]
+    assert {script.name for script in scripts} == {'vsensor_designer', 'vsensor_replacer'}
+    for script in scripts:
+        assert callable(script.load())
+
+
+@pytest.mark.slow
 def test_pip_install(tmp_path):
     source = copy_of_sources(tmp_path / 'source')
     prefix = tmp_path / 'prefix'
     run(sys.executable, '-m', 'pip', 'install', '--quiet', '--no-index', '--no-deps',
         '--no-build-isolation', '--ignore-installed', '--prefix', prefix, source)
     library = assert_placed(prefix)
-    assert {path.name for path in (prefix / 'bin').iterdir()} == {'designer', 'replacer'}
+    assert {path.name for path in (prefix / 'bin').iterdir()} == {
+        'vsensor_designer', 'vsensor_replacer'}
     plant = prefix / 'share/vsensor_ros/config/three_tank/plant.yaml'
     # from elsewhere, with the installed copy alone, as `ros2 run` would start it
     said, _ = run(sys.executable, prefix / 'lib/vsensor_ros/designer', plant,
@@ -215,6 +279,7 @@ def test_pip_install(tmp_path):
     assert (tmp_path / 'three_tank.design.json').is_file()
 
 
+@pytest.mark.slow
 def test_colcon_build(tmp_path):
     if find_spec('colcon_ros') is None:
         pytest.skip('colcon is not installed here')
@@ -225,15 +290,3 @@ def test_colcon_build(tmp_path):
     assert 'Finished <<< vsensor_ros' in said
     assert 'WARNING' not in warned, warned  # an invalid package.xml is no more than that
     assert_placed(tmp_path / 'install' / 'vsensor_ros')
-
-
-def test_ruff():
-    if find_spec('ruff') is None:
-        pytest.skip('ruff is not installed here')
-    run(sys.executable, '-m', 'ruff', 'check', '--output-format', 'concise', '.')
-
-
-def test_mypy():
-    if find_spec('mypy') is None:
-        pytest.skip('mypy is not installed here')
-    run(sys.executable, '-m', 'mypy')

@@ -6,15 +6,13 @@ import re
 
 import pytest
 
-from vsensor_ros.node.known import GENERAL
-
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
-README = PAGES[0].read_text('utf-8')
+README, TOPICS = ROOT / 'README.md', ROOT / 'docs' / 'topics.md'
+PAGES = [README, ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
 
-def section(title):
-    return README.partition(f'\n## {title}\n')[2].partition('\n## ')[0]
+def section(page, title):
+    return page.read_text('utf-8').partition(f'\n## {title}\n')[2].partition('\n## ')[0]
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
@@ -22,23 +20,29 @@ def test_links_lead_somewhere(page):
     text = page.read_text('utf-8')
     for target in re.findall(r'\]\(([^)#:]+)(?:#[\w-]*)?\)', text):
         assert (page.parent / target).exists(), target
-    for command in re.findall(r'ros2 run vsensor_ros (\w+)', text):
+    for command in re.findall(r'(?:ros2 run vsensor_ros |-m vsensor_ros\.command\.)(\w+)', text):
         assert command == 'X' or (ROOT / 'scripts' / command).is_file(), command
 
 
-def test_parameters_are_those_of_the_node():
-    rows = [[cell.strip() for cell in line.split('|')[1:-1]]
-            for line in section('Parameters').splitlines() if line.startswith('| `')]
-    told = {name: row for row in rows for name in re.findall(r'`([a-z][\w.]*)`', row[0])}
-    for name, (_, default, live, _) in told.items():
-        if name.startswith(('sensors', 'commands', 'isolation')):
-            continue
-        known = GENERAL[name]
-        shown = re.fullmatch(r'`?([\w.]+?)`?(?: \w+)?', default)
-        assert default == 'must be given' if known.default is None else \
-            shown and shown[1] == str(known.default).replace('True', 'true'), name
-        assert live == ('yes' if known.live else ''), name
-    assert set(GENERAL) <= set(told)
+def test_readme_is_short_and_leads_to_every_page():
+    text = README.read_text('utf-8')
+    assert len(text.splitlines()) <= 160
+    contributing = (ROOT / 'CONTRIBUTING.md').read_text('utf-8')
+    for page in sorted((ROOT / 'docs').glob('*.md')):
+        assert f'docs/{page.name}' in text + contributing, page.name
+
+
+def test_the_env_of_the_quick_start_is_that_of_make():
+    """What a node from .venv needs in a terminal is what make gives its own."""
+    told = dict(re.findall(r'^ +export (\w+)=(\S+)', README.read_text('utf-8'), re.MULTILINE))
+    given = dict(re.findall(r'^export (\w+) := (\S+)', (ROOT / 'Makefile').read_text('utf-8'),
+                            re.MULTILINE))
+    here = {'$VIRTUAL_ENV': '$(CURDIR)/.venv', '$PWD': '$(CURDIR)'}
+    assert len(told) >= 3
+    for name, value in told.items():
+        for shell, make in here.items():
+            value = value.replace(shell, make)
+        assert given[name] == value
 
 
 def test_the_keys_of_the_status_are_those_sent():
@@ -47,7 +51,7 @@ def test_the_keys_of_the_status_are_those_sent():
             and function.name in ('_status_facts', '_health_facts')
             for node in ast.walk(function) if isinstance(node, ast.Dict)
             for key in node.keys if isinstance(key, ast.Constant)}
-    told = section('Topics').partition('**`~/status`**')[2]
+    told = section(TOPICS, 'Status')
     assert sent
     assert set(re.findall(r'`(\w+)`', told)) - {'replacer'} == sent
     assert '`clock_*`' in told

@@ -77,10 +77,13 @@ def install(make_venv: list, pip_install: list) -> bool:
 
 def link_ament_index() -> None:
     """Link what an editable install leaves out, as `colcon build --symlink-install` would."""
+    launch_files = [path.relative_to(ROOT).as_posix() for path in (ROOT / 'launch').glob('*.py')]
     for link, target in (
         ('share/ament_index/resource_index/packages/vsensor_ros', 'resource/vsensor_ros'),
         ('share/vsensor_ros/package.xml', 'package.xml'),
         ('share/vsensor_ros/config', 'config'),
+        # one by one: `ros2 launch` does not look into folders that are links
+        *((f'share/vsensor_ros/{file}', file) for file in launch_files),
         ('lib/vsensor_ros', 'scripts'),
     ):
         (VENV / link).parent.mkdir(parents=True, exist_ok=True)

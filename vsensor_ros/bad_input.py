@@ -32,6 +32,8 @@ def check_text(value: object, where: object, key: str) -> str:
 
 def reason(error: Exception) -> str:
     """Return why a file could not be opened, read or written, in the system's words."""
+    if type(error) is ValueError:  # of a name; each Python words it otherwise
+        return 'embedded null byte'
     return getattr(error, 'strerror', None) or str(error)
 
 

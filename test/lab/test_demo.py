@@ -105,6 +105,7 @@ def curves(array, topic):
             for s in array.status for value in s.values}
 
 
+@pytest.mark.slow
 def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
     # on simulated time and in a namespace, which the parameter file alone says
     path = short_servo.parent / 'config' / 'servo' / 'replacer.yaml'
@@ -146,6 +147,7 @@ def assert_plots(known, design):
     assert all(any(name.startswith(f'{topic}/') for topic in topics) for name in plotted)
 
 
+@pytest.mark.slow
 def test_a_replacer_that_dies_fails_the_demo(short_servo, capsys):
     path = short_servo.parent / 'config' / 'servo' / 'replacer.yaml'
     path.write_text(path.read_text().replace('rate: 100.0', 'rate: -1.0'))

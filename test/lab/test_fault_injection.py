@@ -96,6 +96,7 @@ def results_of(arguments):
     return {r['case']: r for r in json.loads(Path(arguments[-1]).read_text())}
 
 
+@pytest.mark.slow
 def test_the_node_passes(quick, capsys):
     names = ['bias', 'burst']
     code = main(['--only', ','.join(names), *quick])
@@ -106,6 +107,7 @@ def test_the_node_passes(quick, capsys):
     assert '3 passed, 0 failed, 0 skipped' in said
 
 
+@pytest.mark.slow
 def test_a_relay_that_lies_fails(quick, tmp_path, monkeypatch, capsys):
     (tmp_path / 'liar.py').write_text(LIAR)
     with reserved_domain() as domain:

@@ -186,15 +186,16 @@ class Rig:
         assert self.spin_until(lambda: subscription.get_publisher_count() == 1)
         return heard
 
-    def spin_until(self, condition, timeout=3.0):
-        """Poll until a condition holds; tell whether it came to that."""
+    def spin_until(self, condition, timeout=60.0):
+        """Poll until a condition holds, at least once; tell whether it came to that."""
         end = time.monotonic() + timeout
         while not condition():
-            if time.monotonic() > end:
-                return False
+            late = time.monotonic() > end
             self.replacer.poll()
             for subscription, heard in self.listeners:
                 heard.extend(raw for raw, _ in drain(subscription))
+            if late:
+                return condition()
             time.sleep(0.0003)
         return True
 

@@ -33,18 +33,22 @@ def nodes():
 
 def say(node, count):
     """Return what is complained of once there are so many complaints, as lines."""
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + 60.0
     while len(found := {str(c) for c in complaints(node, ENDS)}) < count:
         assert time.monotonic() < end, found
         time.sleep(0.01)
     return found
 
 
+def ignore(message):
+    """Take a message. Python 3.10 does not tell rclpy how `print` is called."""
+
+
 def open_ours(node):
-    node.create_subscription(Float64, '/y_raw', print, BEST_EFFORT)
+    node.create_subscription(Float64, '/y_raw', ignore, BEST_EFFORT)
     node.create_publisher(Float64, '/y', RELIABLE)
-    node.create_subscription(String, '/isolation', print, RELIABLE)
-    node.create_subscription(String, '/isolation', print, KEPT)  # the replacer has both
+    node.create_subscription(String, '/isolation', ignore, RELIABLE)
+    node.create_subscription(String, '/isolation', ignore, KEPT)  # the replacer has both
     return node
 
 
@@ -54,11 +58,11 @@ def test_those_that_fit_are_not_complained_of(nodes):
         other.create_publisher(Float64, '/y_raw', qos)
     other.create_publisher(String, '/isolation', RELIABLE)
     other.create_publisher(String, '/isolation', KEPT)
-    other.create_subscription(Float64, '/y', print, BEST_EFFORT)
+    other.create_subscription(Float64, '/y', ignore, BEST_EFFORT)
     wrong = other.create_publisher(Float64, '/y', RELIABLE)
     say(node, 1)  # by now all is known
     other.destroy_publisher(wrong)
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + 60.0
     while lines := [str(c) for c in complaints(node, ENDS)]:
         assert time.monotonic() < end, lines
         time.sleep(0.01)
@@ -67,7 +71,7 @@ def test_those_that_fit_are_not_complained_of(nodes):
 def test_everything_that_cannot_work(nodes):
     node, other = open_ours(nodes('replacer')), nodes('other')
     other.create_publisher(Float64, '/y', RELIABLE)
-    other.create_subscription(Float64, '/y', print, KEPT)
+    other.create_subscription(Float64, '/y', ignore, KEPT)
     other.create_publisher(String, '/y_raw', RELIABLE)
     other.create_publisher(String, '/isolation', BEST_EFFORT)
     open_ours(nodes('replacer'))  # a second one by mistake

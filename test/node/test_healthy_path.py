@@ -81,9 +81,10 @@ def test_on_the_wall_clock(rig, parameters):
     y1, y2, y3 = (r.publisher(Range, f'/y{i}_raw') for i in (1, 2, 3))
     u1 = r.publisher(Float64, '/u1')
 
-    def send(seconds, value):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+    def send(value, until):
+        end = time.monotonic() + 60.0
+        while not until():
+            assert time.monotonic() < end
             for publisher in (y1, y2, y3):
                 message = r.reading(value)
                 message.header.stamp = r.node.get_clock().now().to_msg()
@@ -91,14 +92,12 @@ def test_on_the_wall_clock(rig, parameters):
             u1.publish(Float64(data=0.0))
             r.spin(0.01)
 
-    send(0.2, 0.75)
+    send(0.75, lambda: len(heard) > 5)
     r.isolate('y2')
     count = len(heard)
-    send(0.5, 0.75)
+    send(0.75, lambda: len(heard) >= count + 20)
     assert r.values(heard[count:]) == [1.5] * len(heard[count:])
-    assert len(heard) - count >= 5  # of 50: the machine may be busy
     assert np.all(np.diff(r.stamps(heard)) > 0)
     r.isolate()
-    send(0.1, 0.75)
-    assert r.values(heard)[-1] == 0.75
+    send(0.75, lambda: r.values(heard)[-1] == 0.75)
     assert np.all(np.diff(r.stamps(heard)) > 0)

@@ -32,7 +32,7 @@ def running(r):
         yield stop, active, thread
     finally:
         stop.set()
-        thread.join(10.0)
+        thread.join(60.0)
         r.replacer.poll = poll
         assert not thread.is_alive()
 
@@ -105,7 +105,7 @@ def test_it_ends(rig, parameters, which):
             stop.set()
         else:
             active.clear()
-        thread.join(10.0)  # though the next tick is 2 s away, and no message comes
+        thread.join(60.0)  # though the next tick is 2 s away, and no message comes
         assert not thread.is_alive()
 
 

@@ -35,7 +35,7 @@ def parameter_file(tmp_path, design_file):
 
 def run(*arguments, **environment):
     return subprocess.run([*COMMAND, *arguments], env={**os.environ, **environment},
-                          capture_output=True, text=True, timeout=60)
+                          capture_output=True, text=True, timeout=120)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -51,14 +51,14 @@ def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
         heard = []
         publisher = node.create_publisher(Range, '/y1_raw', 10)
         node.create_subscription(Range, '/y1', heard.append, 10)
-        end = time.monotonic() + 30
+        end = time.monotonic() + 120
         while not heard and time.monotonic() < end and process.poll() is None:
             publisher.publish(Range(range=1.5))
             executor.spin_once(timeout_sec=0.02)
         assert heard and heard[0].range == 1.5
         process.send_signal(number)
         process.send_signal(number)  # an impatient user
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=120)
     finally:
         process.kill()
         process.wait()
@@ -82,7 +82,7 @@ def test_a_signal_while_starting(parameter_file, number):
                                stderr=subprocess.PIPE, text=True)
     process.stdout.readline()
     process.send_signal(number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == 0 and 'Traceback' not in err, err
 
 
@@ -116,7 +116,7 @@ def test_no_ros(command, arguments, missing):
               f'from vsensor_ros.command import {command}; '
               f'sys.exit({command}.main({arguments}))')
     ended = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
-                           timeout=60)
+                           timeout=120)
     assert ended.returncode == 2
     assert ended.stderr.count('\n') == 1 and ended.stderr.startswith(
         f'{command}: ROS 2 is not found (')
@@ -135,7 +135,7 @@ def test_no_home(parameter_file, tmp_path):
         assert line, seen
         seen += line
     process.terminate()
-    _, rest = process.communicate(timeout=30)
+    _, rest = process.communicate(timeout=120)
     assert process.returncode == 0 and 'Traceback' not in seen + rest
     assert list(tmp_path.glob('ros_log_*'))
 
@@ -152,12 +152,12 @@ def test_it_waits_for_a_lifecycle_manager_and_ends_meanwhile(parameter_file):
     executor.add_node(node)
     try:
         client = node.create_client(GetState, '/replacer/get_state')
-        assert client.wait_for_service(30.0)
+        assert client.wait_for_service(120.0)
         future = client.call_async(GetState.Request())
-        executor.spin_until_future_complete(future, 30.0)
+        executor.spin_until_future_complete(future, 120.0)
         assert future.result().current_state.label == 'unconfigured'
         process.terminate()
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=120)
     finally:
         process.kill()
         process.wait()

@@ -83,6 +83,7 @@ def test_it_does_not_wait_for_ever(waiting):
 
 
 def test_a_failed_reading_does_not_go_out_before_the_history_is_heard(machine, monkeypatch):
+    monkeypatch.setattr(start, 'LONGEST', 3600.0)  # the machine may be busy
     m = machine(autostart=False)
     m.drive()
     heard = m.listen(Range, '/y2')
@@ -137,7 +138,7 @@ def test_what_passed_while_it_was_inactive_is_neither_jump_nor_overrun(
 
     def drive(until):
         """Send readings till something holds; tell whether it came to that."""
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 60.0
         while not until() and time.monotonic() < end:
             for publisher, value in drivers:
                 message = r.reading(value)
@@ -161,4 +162,4 @@ def test_what_passed_while_it_was_inactive_is_neither_jump_nor_overrun(
     assert health.left_out - overruns < 1000 and not health.jumps
     assert started() > stamp + 59 * 10**9 and r.values(heard)[-1] == 1.5
     assert r.stamps(heard)[before] > stamp + 59 * 10**9
-    assert r.replacer.health().achieved > 10.0
+    assert r.replacer.health().achieved > 1.0  # one interval of 60 s would make it less

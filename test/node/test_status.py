@@ -47,10 +47,13 @@ def test_who_joins_late_sees_it_at_once_and_then_each_change(machine):
     assert m.spin_until(lambda: is_source(early, 'y2', 'real'))
     m.isolate('y2')
     assert m.spin_until(lambda: is_source(early, 'y2', 'virtual'))
-    count = len(early)
-    late = m.listen(DiagnosticArray, '/replacer/status', KEPT)
-    assert m.spin_until(lambda: late)
-    assert len(early) - count <= 1 and late[0] == early[count - 1]  # what was said before
+    for _ in range(10):  # if a new one falls just then, once more
+        count = len(early)
+        late = m.listen(DiagnosticArray, '/replacer/status', KEPT)
+        assert m.spin_until(lambda late=late: late)
+        if late[0] == early[count - 1]:  # what was said before
+            break
+    assert late[0] == early[count - 1]
 
     assert [s.name for s in late[0].status] == ['y1', 'y2', 'y3', 'replacer']
     assert all(set(facts(late[0], name)) == KEYS for name in ('y1', 'y2', 'y3'))
@@ -72,7 +75,7 @@ def test_who_joins_late_sees_it_at_once_and_then_each_change(machine):
     count, begin = len(late), late[-1].header.stamp.sec
     m.node.replacer.reports.thrown_away = 5
     assert m.spin_until(lambda: len(late) == count + 2)
-    assert 1 <= late[-1].header.stamp.sec - begin <= 5
+    assert 1 <= late[-1].header.stamp.sec - begin <= 30
     loop = by_name(late[-1])['replacer'][0]
     assert loop.level == DiagnosticStatus.WARN and '5 messages of isolation thrown' in loop.message
 
@@ -87,7 +90,7 @@ def test_a_switch_is_reported_once_it_is_counted(machine, monkeypatch):
         m.spin(2 * status.SOONEST)  # so that the change is told at once, before it is counted
         m.isolate(names)
         assert m.spin_until(lambda source=source, count=count: is_source(heard, 'y2', source)
-                            and facts(heard[-1], 'y2')['switches'] == count, 2.0)
+                            and facts(heard[-1], 'y2')['switches'] == count)
 
 
 def test_the_diagnostics_name_the_remedy(machine):
@@ -161,13 +164,17 @@ def test_what_toggles_floods_neither_log_nor_status(machine, monkeypatch):
     begin = time.monotonic()
     for i in range(40):
         assert m.call(SetBool, 'y1/force', data=i % 2 == 0).success
-        m.spin(0.03)  # so that each goes out
+        assert m.spin_until(  # until it has gone out
+            lambda i=i: m.node.replacer.snapshot().channels[0].switches == i + 1)
+        m.spin(0.03)  # and may be seen
+
+    def lines():
+        return [line for line in m.logged('y1: ') if 'asked' not in line]
+    assert m.spin_until(lines)
     lasted = time.monotonic() - begin
-    assert m.node.replacer.snapshot().channels[0].switches > 20
     assert len(heard) <= lasted / status.SOONEST + 2
-    lines = [line for line in m.logged('y1: ') if 'asked' not in line]
-    assert 0 < len(lines) <= 2 * (lasted // status.QUIET + 1)
-    assert 'switched' in by_name(heard[-1])['y1'][0].message
+    assert len(lines()) <= 2 * (lasted // status.QUIET + 1)
+    assert m.spin_until(lambda: 'switched' in by_name(heard[-1])['y1'][0].message)
     assert 'lengthen sensors.y1.dwell' in by_name(heard[-1])['y1'][0].message
     # the last word is right, though it may not be said at once
     m.spin(2 * status.SOONEST)

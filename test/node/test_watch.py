@@ -46,9 +46,9 @@ class Watched:
 
     def call(self, kind, name, **request):
         client = self.client.create_client(kind, f'/{self.node.get_name()}/{name}')
-        assert client.wait_for_service(timeout_sec=10.0)
+        assert client.wait_for_service(timeout_sec=60.0)
         future = client.call_async(kind.Request(**request))
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 60.0
         while not future.done() and time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.1)
         self.client.destroy_client(client)

@@ -71,6 +71,12 @@ class Page(HTMLParser):
         return next(cells[1] for cells in self.rows_of(section) if cells[0] == name)
 
 
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Draw none, which takes long, where only words and numbers are looked at."""
+    monkeypatch.setattr(report_module, 'MOST_PICTURES', 0)
+
+
 @pytest.fixture(scope='module')
 def discrete():
     plant = load_plant(CONFIG / 'three_tank_discrete' / 'plant.yaml')
@@ -79,7 +85,7 @@ def discrete():
 
 
 @pytest.mark.parametrize('system', ['servo', 'tclab', 'three_tank'])
-def test_the_numbers_are_those_of_the_design(system):
+def test_the_numbers_are_those_of_the_design(system, without_pictures):
     plant = load_plant(CONFIG / system / 'plant.yaml')
     result = design(plant, up_to=2)
     shown = Page(page(plant, result))
@@ -218,7 +224,8 @@ def test_an_exact_one_stays_on_the_truth_and_a_bounded_one_within_its_gain(discr
     assert np.array_equal(exact.truth[before], exact.still[before])
 
 
-def test_a_run_that_cannot_be_shown_says_why():
+def test_a_run_that_cannot_be_shown_says_why(monkeypatch):
+    monkeypatch.setattr(report_simulation, 'MOST_LOOKS', 5000)
     stiff = Plant.from_matrices([[-1.0, 0.0], [1.0, -1e9]], None, np.eye(2))
     result = design(stiff)
     v = next(v for v in result.virtual_sensors if v.order)
@@ -260,7 +267,7 @@ def test_pictures_only_of_the_first_ones(discrete, monkeypatch):
     assert 'Pictures are drawn for the first 1 of 3 virtual sensors only.' in fewer
 
 
-def test_places_and_pairs():
+def test_places_and_pairs(without_pictures):
     plant = Plant.from_matrices(
         [[-1, 0, 0], [1, -1, 0], [0, 1, -1]], None, np.eye(3)[[1, 2]], [1, 0, 0])
     result = design(plant, up_to=2)
@@ -293,7 +300,7 @@ def test_a_file_and_a_folder_through_the_command(tmp_path, capsys):
     ('{folder}/none/out.html', 'cannot be written (No such file'),
     ('{folder}/a\0b.html', 'cannot be written (embedded null byte)'),
 ])
-def test_a_place_that_is_none_gives_one_line(tmp_path, capsys, report, needle):
+def test_a_place_that_is_none_gives_one_line(tmp_path, capsys, report, needle, without_pictures):
     (tmp_path / 'file').write_text('mine')
     (tmp_path / 'a.html').mkdir()
     plant = str(CONFIG / 'tclab' / 'plant.yaml')
