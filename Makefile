@@ -12,15 +12,18 @@ export AMENT_PREFIX_PATH := $(CURDIR)/.venv
 export ROS_LOG_DIR := $(CURDIR)/build/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export FASTRTPS_DEFAULT_PROFILES_FILE := $(CURDIR)/config/fastdds_localhost.xml
+# What `make inject` plays.
+SYSTEM ?= servo
 # The matrices are small: more threads only fight over the cores.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help demo test lint bench clean set-up
+.PHONY: help demo test lint inject bench clean set-up
 
 help:
 	@echo 'make demo    watch failed sensors being replaced on three systems; build/demo'
 	@echo 'make test    the tests but the slow ones (ARGS="-k name": a part; ARGS="-m slow": those)'
 	@echo 'make lint    ruff and mypy'
+	@echo 'make inject  inject every kind of fault into a replacer (SYSTEM=three_tank; ARGS=--quick)'
 	@echo 'make bench   what replacer and designer cost, beside peers (ARGS="--only designer")'
 	@echo 'make clean   remove all that make made'
 
@@ -33,6 +36,10 @@ test: set-up
 lint: set-up
 	@$(RUN) -m ruff check .
 	@$(RUN) -m mypy
+
+inject: set-up
+	@$(RUN) -m vsensor_ros.command.fault_injection --plant config/$(SYSTEM)/plant.yaml \
+	  --params-file config/$(SYSTEM)/replacer.yaml $(ARGS)
 
 bench: set-up
 	@$(RUN) -m benchmark $(ARGS)

@@ -48,7 +48,7 @@ def test_the_env_of_the_quick_start_is_that_of_make():
 def test_the_keys_of_the_status_are_those_sent():
     tree = ast.parse((ROOT / 'vsensor_ros/node/status.py').read_text('utf-8'))
     sent = {key.value for function in tree.body if isinstance(function, ast.FunctionDef)
-            and function.name in ('_status_facts', '_health_facts')
+            and function.name in ('_status_facts', '_loop_facts')
             for node in ast.walk(function) if isinstance(node, ast.Dict)
             for key in node.keys if isinstance(key, ast.Constant)}
     told = section(TOPICS, 'Status')
