@@ -20,7 +20,7 @@ from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.wiring import wiring_of
 from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.simulate import scenario
-from vsensor_ros.simulate.fault import Channel, freeze
+from vsensor_ros.simulate.fault import freeze, Recorded
 from vsensor_ros.simulate.judge import Heard
 from vsensor_ros.simulate.recording import NoRecording
 
@@ -64,7 +64,7 @@ def test_a_missing_recording_is_said_and_not_counted(tmp_path, capsys, monkeypat
 
 def test_what_the_replacer_says_of_itself_is_set_against_the_truth():
     time = np.arange(0.0, 10.0, 0.1)
-    truth = Channel.of(time, 2.0 * time)
+    truth = Recorded.of(time, 2.0 * time)
     played = SimpleNamespace(
         unit='m', failed_sensor='y', truth=truth, isolated_at=7.05, end=9.9,
         channels={'y': freeze(truth, 4.05)})  # at 8 m

@@ -29,7 +29,7 @@ from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, play, START_TOPIC
 from vsensor_ros.lab.wiring import blank, wiring_of
 from vsensor_ros.node.accessor import get_stamp
-from vsensor_ros.simulate.fault import Channel, drop_out, freeze
+from vsensor_ros.simulate.fault import drop_out, freeze, Recorded
 
 CONFIG = Path(__file__).parents[2] / 'config'
 TIME = np.arange(0.0, 0.3, 0.01)
@@ -60,8 +60,8 @@ def read_wiring(path):
 
 def test_channels_of_one_message_travel_together(node):
     ports = read_wiring(CONFIG / 'servo' / 'replacer.yaml').ports
-    angle = Channel.of(TIME, np.sin(TIME))
-    velocity = drop_out(freeze(Channel.of(TIME, np.cos(TIME)), 0.1), 0.2)
+    angle = Recorded.of(TIME, np.sin(TIME))
+    velocity = drop_out(freeze(Recorded.of(TIME, np.cos(TIME)), 0.1), 0.2)
     current = drop_out(angle, 0.25)
     channels = {'y1': drop_out(angle, 0.25), 'y2': velocity, 'y3': current,
                 'voltage': drop_out(angle, 0.05)}
@@ -102,7 +102,7 @@ def test_faster_than_real_time_the_clock_is_on_a_topic(node):
     times = 100.0 + np.arange(20.0)
     readings = listen(node, ports['T1'].kind, ports['T1'].source)
     clock = listen(node, Clock, '/clock')
-    play(node, {'T1': Channel.of(times, times)}, ports, 100.0)
+    play(node, {'T1': Recorded.of(times, times)}, ports, 100.0)
     messages = list(taken(readings))
     assert [m.temperature for m in messages] == list(times)
     stamps = [get_stamp(m) for m in messages]
@@ -153,7 +153,7 @@ def test_delays_are_told(node, monkeypatch):
         time.sleep(0.05 if value == 3.0 else 0.0)
         return slow(message, value)
     field = replace(ports['T1'].field, put=put)
-    late = play(node, {'T1': Channel.of(TIME, np.arange(30.0))},
+    late = play(node, {'T1': Recorded.of(TIME, np.arange(30.0))},
                 {'T1': replace(ports['T1'], field=field)}, 1.0)
     assert late > 0.03 and len(list(taken(readings))) == 30
 

@@ -4,10 +4,18 @@ import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
 
-from vsensor_ros.simulate.fault import bias, Channel, drift, drop_out, freeze, not_a_number, spikes
+from vsensor_ros.simulate.fault import (
+    bias,
+    drift,
+    drop_out,
+    freeze,
+    not_a_number,
+    Recorded,
+    spikes,
+)
 
 TIME = np.arange(10.0)
-CHANNEL = Channel.of(TIME, TIME ** 2)
+CHANNEL = Recorded.of(TIME, TIME ** 2)
 
 
 def test_freeze_repeats_the_last_reading_before():
@@ -40,7 +48,7 @@ def test_bias_and_drift():
 
 
 def test_spikes_are_rare_and_the_same_again():
-    long = Channel.of(np.arange(10000.0), np.zeros(10000))
+    long = Recorded.of(np.arange(10000.0), np.zeros(10000))
     spiked = spikes(long, 5000.0, size=4.0, probability=0.01).value
     assert set(np.unique(spiked)) == {-4.0, 0.0, 4.0}
     assert not spiked[:5000].any()

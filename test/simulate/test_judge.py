@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vsensor_ros.simulate.fault import Channel, drop_out, freeze
+from vsensor_ros.simulate.fault import drop_out, freeze, Recorded
 from vsensor_ros.simulate.judge import Heard, judge, replaced
 from vsensor_ros.simulate.scenario import Scenario
 
 TIME = np.linspace(0.0, 10.0, 101)
-TRUTH = Channel.of(TIME, np.sin(TIME))
+TRUTH = Recorded.of(TIME, np.sin(TIME))
 RAW = drop_out(freeze(TRUTH, 4.0), 7.0)
 SCENARIO = Scenario('sine', 'y', 'm', 4.0, 5.0, 1.0, 0.02, '', {'y': RAW}, TRUTH,
                     ((4.0, 'freeze'), (7.0, 'drop_out')))

@@ -5,14 +5,14 @@ from numpy.testing import assert_array_equal
 import pytest
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.simulate.fault import Channel, drop_out, not_a_number
+from vsensor_ros.simulate.fault import drop_out, not_a_number, Recorded
 from vsensor_ros.simulate.table import read_table, write_table
 
 
 def test_round_trip_of_channels_with_their_own_times(tmp_path):
     random = np.random.default_rng(1)
-    fast = Channel.of(0.1 * np.arange(30), random.standard_normal(30))
-    slow = Channel.of(0.5 * np.arange(6), random.standard_normal(6))
+    fast = Recorded.of(0.1 * np.arange(30), random.standard_normal(30))
+    slow = Recorded.of(0.5 * np.arange(6), random.standard_normal(6))
     channels = {'y1': drop_out(not_a_number(fast, 1.0, 1.5), 2.0), 'u1': slow}
     write_table(tmp_path / 'table.csv', channels)
     for name, channel in read_table(tmp_path / 'table.csv').items():

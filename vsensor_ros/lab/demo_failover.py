@@ -26,7 +26,7 @@ from vsensor_ros.lab.domain import (
 from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, LATE_CODE, START_TOPIC, to_stamp
 from vsensor_ros.lab.process import Failed, Process
-from vsensor_ros.lab.screen import read_status, Told
+from vsensor_ros.lab.screen import read_status, StatusMessage
 from vsensor_ros.lab.wiring import Wiring, wiring_of
 from vsensor_ros.node.accessor import get_stamp, has_stamp
 from vsensor_ros.simulate.judge import Heard
@@ -146,7 +146,7 @@ class _Listener:
             message.data = name
         self.isolation.publish(message)
 
-    def note(self, told: Told, now: float) -> None:
+    def note(self, told: StatusMessage, now: float) -> None:
         """Note what the replacer says of the estimates that go out for the failed sensor."""
         for channel in told.channels:
             if channel.name == self.scenario.failed_sensor and channel.source == 'virtual':

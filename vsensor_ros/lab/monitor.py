@@ -16,7 +16,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.domain import by_hand, open_nodes, take
-from vsensor_ros.lab.screen import changes, duration, Line, OLD, read_status, screen, Told
+from vsensor_ros.lab.screen import changes, duration, Line, OLD, read_status, screen, StatusMessage
 
 LOOK = 0.1  # s that a look at the topic takes at most
 POLL = 0.01  # s
@@ -65,7 +65,7 @@ class Listener:
             raise BadInput('monitor', '--node', f'{name!r} is no name of a node',
                            'give one of `ros2 node list`') from None
         self.node = node
-        self.told: Told | None = None
+        self.told: StatusMessage | None = None
         self.at = self.since = time.monotonic()
         self._status = node.create_subscription(DiagnosticArray, self.topic, by_hand, QoSProfile(
             depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))

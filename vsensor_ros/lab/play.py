@@ -18,7 +18,7 @@ from vsensor_ros.lab.domain import open_nodes
 from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.played_driver import drivers_of
 from vsensor_ros.lab.wiring import Port, wiring_of
-from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.fault import Recorded
 from vsensor_ros.simulate.table import read_table
 
 LATE = 0.05             # s on the wall; what is played later than this is another machine
@@ -33,7 +33,7 @@ def to_stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
-def play(node: Node, channels: dict[str, Channel], ports: dict[str, Port], speed: float,
+def play(node: Node, channels: dict[str, Recorded], ports: dict[str, Port], speed: float,
          simulated: bool = False) -> float:
     """
     Publish every row at its time, once every topic has a listener; return the worst delay [s].

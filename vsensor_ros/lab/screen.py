@@ -47,14 +47,14 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Told:
+class StatusMessage:
     """What one message on ~/status says."""
 
     loop: Status
     channels: tuple[Status, ...]
 
 
-def read_status(array: Any) -> Told:
+def read_status(array: Any) -> StatusMessage:
     """Take a DiagnosticArray apart; it comes from outside and may hold anything."""
     loop, channels = Status(NODE, '', {}), []
     for status in array.status:
@@ -64,7 +64,7 @@ def read_status(array: Any) -> Told:
             loop = found
         else:
             channels.append(found)
-    return Told(loop, tuple(channels))
+    return StatusMessage(loop, tuple(channels))
 
 
 def _clean(text: str) -> str:
@@ -72,7 +72,7 @@ def _clean(text: str) -> str:
     return ''.join(c if c.isprintable() else '?' for c in text)
 
 
-def screen(told: Told, age: float, node: str, width: int, height: int) -> list[Line]:
+def screen(told: StatusMessage, age: float, node: str, width: int, height: int) -> list[Line]:
     """
     Lay a status out in at most `height` lines of at most `width` characters.
 
@@ -261,7 +261,7 @@ def duration(seconds: float) -> str:
     return f'{seconds:.{1 if seconds < 10.0 else 0}f} s'
 
 
-def changes(before: Told | None, told: Told) -> list[str]:
+def changes(before: StatusMessage | None, told: StatusMessage) -> list[str]:
     """Return a line for the node and each channel that are not as they were before."""
     known = {s.name: _essence(s) for s in before.channels} if before else {}
     lines = []

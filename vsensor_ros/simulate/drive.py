@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import compile_expression, names
 from vsensor_ros.plant import Plant
-from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.fault import Recorded
 from vsensor_ros.simulate.section import Section
 from vsensor_ros.simulate.simulate import readings, simulate
 
@@ -31,7 +31,7 @@ class Trajectory:
 
     time: Array                     # (T,)
     readings: Mapping[str, Array]   # (T,) by sensor, without noise
-    commands: dict[str, Channel]    # by input, a row each time it may change
+    commands: dict[str, Recorded]    # by input, a row each time it may change
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Drive:
         if not np.isfinite(y).all():
             raise BadInput(self.where, 'simulation', f'{plant.name} runs away', HOLD)
         return Trajectory(t, dict(zip(plant.sensors, y.T)),
-                   {n: Channel.of(t[first], v[first]) for n, v in zip(plant.inputs, u.T)})
+                   {n: Recorded.of(t[first], v[first]) for n, v in zip(plant.inputs, u.T)})
 
     def _closed_loop(self, plant: Plant, t: Array, first: NDArray[np.intp], rho: Any,
                      ) -> tuple[Array, Array]:
@@ -83,12 +83,12 @@ class Drive:
                                             x[begin])
         return x, u
 
-    def said(self, run: Trajectory, every: int = 1) -> dict[str, Channel]:
+    def said(self, run: Trajectory, every: int = 1) -> dict[str, Recorded]:
         """Return what each sensor says at every so many rows, noise included."""
         random, channels = np.random.default_rng(0), {}
         for name, y in run.readings.items():
             y = y[::every]
-            channels[name] = Channel.of(run.time[::every], y + self.noise.get(
+            channels[name] = Recorded.of(run.time[::every], y + self.noise.get(
                 name, 0.0) * random.standard_normal(len(y)))
         return channels
 

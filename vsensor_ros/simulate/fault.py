@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class Recorded:
     """
     What one channel said: `value[k]` at `time[k]` [s], unless `sent[k]` is False.
 
@@ -21,46 +21,46 @@ class Channel:
     sent: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, time: ArrayLike, value: ArrayLike) -> 'Channel':
+    def of(cls, time: ArrayLike, value: ArrayLike) -> 'Recorded':
         """Return a healthy channel: every value sent."""
         time, value = np.asarray(time, float), np.asarray(value, float)
         return cls(time, value, np.ones(time.shape, bool))
 
 
-def _within(channel: Channel, start: float, end: float) -> NDArray[np.bool_]:
+def _within(channel: Recorded, start: float, end: float) -> NDArray[np.bool_]:
     return (channel.time >= start) & (channel.time < end)
 
 
-def freeze(channel: Channel, start: float, end: float = np.inf) -> Channel:
+def freeze(channel: Recorded, start: float, end: float = np.inf) -> Recorded:
     """Repeat the last value before `start` [s] until `end` [s]; the stamps go on."""
     before = np.flatnonzero((channel.time < start) & channel.sent)
     last = channel.value[before[-1]] if before.size else np.nan
     return replace(channel, value=np.where(_within(channel, start, end), last, channel.value))
 
 
-def drop_out(channel: Channel, start: float, end: float = np.inf) -> Channel:
+def drop_out(channel: Recorded, start: float, end: float = np.inf) -> Recorded:
     """Send nothing from `start` to `end` [s]."""
     return replace(channel, sent=channel.sent & ~_within(channel, start, end))
 
 
-def not_a_number(channel: Channel, start: float, end: float = np.inf) -> Channel:
+def not_a_number(channel: Recorded, start: float, end: float = np.inf) -> Recorded:
     """Send NaN from `start` to `end` [s]."""
     return replace(channel, value=np.where(_within(channel, start, end), np.nan, channel.value))
 
 
-def bias(channel: Channel, start: float, end: float = np.inf, *, size: float) -> Channel:
+def bias(channel: Recorded, start: float, end: float = np.inf, *, size: float) -> Recorded:
     """Add `size` [unit of the channel] from `start` to `end` [s]."""
     return replace(channel, value=channel.value + size * _within(channel, start, end))
 
 
-def drift(channel: Channel, start: float, end: float = np.inf, *, rate: float) -> Channel:
+def drift(channel: Recorded, start: float, end: float = np.inf, *, rate: float) -> Recorded:
     """Add `rate` [unit/s] times the time since `start`, from `start` to `end` [s]."""
     ramp = np.where(_within(channel, start, end), channel.time - start, 0.0)
     return replace(channel, value=channel.value + rate * ramp)
 
 
-def spikes(channel: Channel, start: float, end: float = np.inf, *,
-           size: float, probability: float, seed: int = 0) -> Channel:
+def spikes(channel: Recorded, start: float, end: float = np.inf, *,
+           size: float, probability: float, seed: int = 0) -> Recorded:
     """Add +-`size` [unit] to a random share `probability` of the readings, fixed by `seed`."""
     random = np.random.default_rng(seed)
     hit = random.random(channel.time.shape) < probability
@@ -68,6 +68,6 @@ def spikes(channel: Channel, start: float, end: float = np.inf, *,
     return replace(channel, value=channel.value + spike * (hit & _within(channel, start, end)))
 
 
-FAULTS: dict[str, Callable[..., Channel]] = {
+FAULTS: dict[str, Callable[..., Recorded]] = {
     'freeze': freeze, 'drop_out': drop_out, 'not_a_number': not_a_number, 'bias': bias,
     'drift': drift, 'spikes': spikes}

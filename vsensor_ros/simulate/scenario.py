@@ -9,7 +9,7 @@ import numpy as np
 
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate.drive import DRIVE, read_drive
-from vsensor_ros.simulate.fault import Channel, FAULTS
+from vsensor_ros.simulate.fault import FAULTS, Recorded
 from vsensor_ros.simulate.recording import find_recording, load_columns
 from vsensor_ros.simulate.section import Section
 
@@ -37,8 +37,8 @@ class Scenario:
     speed: float
     bar: float
     bar_text: str
-    channels: dict[str, Channel]
-    truth: Channel
+    channels: dict[str, Recorded]
+    truth: Recorded
     marks: tuple[tuple[float, str], ...]   # (start, kind) of each fault, in time
 
     @property
@@ -114,18 +114,18 @@ def load_scenario(path: Path, plant: Plant) -> Scenario:
     return scenario
 
 
-def _simulated(given: Section, plant: Plant) -> tuple[dict[str, Channel], dict[str, Channel]]:
+def _simulated(given: Section, plant: Plant) -> tuple[dict[str, Recorded], dict[str, Recorded]]:
     """Return what every channel says and the truth of every sensor."""
     given.expect({'duration', 'sensor_rate', 'command_rate', 'inputs'}, DRIVE)
     drive = read_drive(given, plant, given.number('sensor_rate'), given.number('command_rate'))
     fine = TRUTH_PER_SAMPLE if plant.sample_time is None else 1
     rows = round(given.number('duration') * drive.sensor_rate) * fine + 1
     run = drive.run(plant, np.arange(rows) / drive.sensor_rate / fine)
-    truths = {name: Channel.of(run.time, y) for name, y in run.readings.items()}
+    truths = {name: Recorded.of(run.time, y) for name, y in run.readings.items()}
     return drive.said(run, fine) | run.commands, truths
 
 
-def _recorded(given: Section, plant: Plant) -> tuple[dict[str, Channel], dict[str, Channel]]:
+def _recorded(given: Section, plant: Plant) -> tuple[dict[str, Recorded], dict[str, Recorded]]:
     given.expect(_RECORDING)
     columns = given.inner('columns')
     columns.expect({*plant.sensors, *plant.inputs})
@@ -136,6 +136,6 @@ def _recorded(given: Section, plant: Plant) -> tuple[dict[str, Channel], dict[st
         raise given.bad('last', f'samples {first} to {last} are not in the recording',
                         'see its length')
     index = np.arange(first, last + 1)
-    channels = {name: Channel.of(index * given.number('sample_time'), values[index])
+    channels = {name: Recorded.of(index * given.number('sample_time'), values[index])
                 for name, values in found.items()}
     return channels, {name: channels[name] for name in plant.sensors}

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.fault import Recorded
 
 
-def write_table(path: Path, channels: dict[str, Channel]) -> None:
+def write_table(path: Path, channels: dict[str, Recorded]) -> None:
     """Write channels, their times merged, at full precision."""
     times = np.unique(np.concatenate([c.time[c.sent] for c in channels.values()]))
     cells = np.full((len(times), len(channels)), '', dtype=object)
@@ -22,7 +22,7 @@ def write_table(path: Path, channels: dict[str, Channel]) -> None:
         lines.writerows([repr(float(t)), *row] for t, row in zip(times, cells))
 
 
-def read_table(path: Path) -> dict[str, Channel]:
+def read_table(path: Path) -> dict[str, Recorded]:
     """Return the channels of a table, all on its times; raise BadInput."""
     try:
         with open(path, newline='') as file:
@@ -47,5 +47,5 @@ def read_table(path: Path) -> dict[str, Channel]:
     time, sent = cells[:, 0], np.array([[cell != '' for cell in row] for row in rows])
     if not (np.all(np.isfinite(time)) and sent[:, 0].all() and np.all(np.diff(time) > 0)):
         raise BadInput(str(path), 'time', 'does not increase', 'sort the rows by time')
-    return {name: Channel(time, cells[:, i], sent[:, i])
+    return {name: Recorded(time, cells[:, i], sent[:, i])
             for i, name in enumerate(header[1:], 1)}

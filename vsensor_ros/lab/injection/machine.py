@@ -20,7 +20,7 @@ from vsensor_ros.lab.injection.verdict import Evidence, Out, Stated, StatusHeard
 from vsensor_ros.lab.played_driver import drivers_of, names_in, PlayedDriver
 from vsensor_ros.lab.wiring import Port, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
-from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.fault import Recorded
 
 POLL = 0.001            # s between two looks at the topics
 CLOCK_STEP = 0.005      # s between two messages on /clock
@@ -45,7 +45,7 @@ class Machine:
     def __init__(self, node: Node, wiring: Wiring, truth: Truth, replacer: str,
                  simulated: bool = False) -> None:
         self.node, self.wiring, self.truth = node, wiring, truth
-        self.channels: dict[str, Channel] = dict(truth.said)
+        self.channels: dict[str, Recorded] = dict(truth.said)
         self.heard = Evidence(time.monotonic())
         self.faulty: frozenset[str] = frozenset()   # what isolation says
         self.shift, self._shift_before, self.paused = 0, 0, False

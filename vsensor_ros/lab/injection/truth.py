@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.plant import Plant
 from vsensor_ros.simulate.drive import DRIVE, Drive, HOLD, read_drive, Trajectory
-from vsensor_ros.simulate.fault import Channel
+from vsensor_ros.simulate.fault import Recorded
 from vsensor_ros.simulate.section import Section
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class Truth:
 
     time: Array               # (T,), when the sensors read
     value: Mapping[str, Array]    # (T,) by sensor
-    said: Mapping[str, Channel]             # by sensor and command, without faults
+    said: Mapping[str, Recorded]             # by sensor and command, without faults
     span: Mapping[str, float]               # max - min of the truth, by sensor
     noise: Mapping[str, float]              # standard deviation of what is read, by sensor
 
