@@ -16,6 +16,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
+from vsensor_ros.designer.stabilise import decay_of
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers.virtual_sensor import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
@@ -223,7 +224,7 @@ def _overview(design: Design) -> str:
             classes.append('no')
             continue
         n = entry.noise
-        rate = design_text.number(design_text.decay_of(entry.eigenvalues, entry.sample_time))
+        rate = design_text.number(decay_of(entry.eigenvalues, entry.sample_time))
         rows.append((*first, str(entry.order),
                      escape(design_text.number(n.error, unit)) if n else '',
                      f'{n.ratio:.2f}' if n and np.isfinite(n.floor) else '',
