@@ -95,8 +95,8 @@ def assert_found_by_ros2(prefix):
     assert files_below(share / 'config') == files_below(ROOT / 'config')
     # as `ros2 launch` does, which follows no links to folders
     found = {Path(folder, name).relative_to(share / 'launch')
-             for folder, _, names in os.walk(share) for name in names
-             if name.endswith('.launch.py')}
+             for folder, _, names in os.walk(share)
+             for name in names if name.endswith('.launch.py')}
     assert found == files_below(ROOT / 'launch') != set()
 
 

@@ -41,7 +41,7 @@ def say(node, count):
 
 
 def ignore(message):
-    """Take a message. Python 3.10 does not tell rclpy how `print` is called."""
+    """Take a message; Python 3.10 does not tell rclpy how `print` is called."""
 
 
 def open_ours(node):

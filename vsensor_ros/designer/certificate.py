@@ -23,9 +23,10 @@ from vsensor_ros.designer.error_system import decay_rate, ErrorSystem, Slopes
 from vsensor_ros.designer.form_search import LARGEST_ORDER, lyapunov, search
 from vsensor_ros.designer.peak_to_peak import peak_bound
 from vsensor_ros.designer.quadratic_form import Form, MOST_CORNERS, ROUNDING
-from vsensor_ros.designer.slopes import Interval, jumps, slope_bounds_on
+from vsensor_ros.designer.slopes import jumps, slope_bounds_on
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.functions.interval import Interval
 from vsensor_ros.observers import Certificate, Limit, VirtualSensor
 from vsensor_ros.observers.kinds.functional import argument_name
 from vsensor_ros.plant.plant import Plant

@@ -76,7 +76,7 @@ class Stream:
         if self.plain and self.active and len(values) == 1 and values[0].__class__ is float and (
                 stamp is None
                 or self._only.last_sent < stamp <= now + self._only.ahead):
-            self._note(self.names[0], float(values[0]), now)  # type: ignore[arg-type]
+            self._note(self.names[0], float(values[0]), now)
             only = self._only  # mostly it is so
             only.take(token, now)
             if stamp is not None:

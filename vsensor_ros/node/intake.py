@@ -46,7 +46,7 @@ def _hear(topic: Topic, engine: Engine, raw: bytes, received: int) -> None:
     verdict = engine.judge(topic.index, reading, raw, related)
     if verdict.__class__ is Forward:
         try:
-            topic.forward(raw, reading, verdict)  # type: ignore[arg-type]
+            topic.forward(raw, reading, verdict)
         except RuntimeError as error:
             engine.count(topic.sensors[0].name, not_sent(error))
     engine.learn(topic.index, reading, received)

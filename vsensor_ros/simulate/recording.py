@@ -35,7 +35,7 @@ def find_recording(file: str, url: str, sha256: str) -> Path:
     problem = f'not in {folder}' if folder else 'VSENSOR_DATA is not set'
     mend = f'set VSENSOR_DATA to a folder that holds it, or give access to {url}'
     try:
-        import pooch  # type: ignore[import-untyped]
+        import pooch
     except ImportError:
         raise NoRecording(file, 'recording', f'{problem}, and pooch is not installed',
                           mend) from None
