@@ -11,8 +11,9 @@ from vsensor_ros.designer.observer import equation_residuals
 from vsensor_ros.designer.order import families
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.designer.quotient import quotient
-from vsensor_ros.designer.stabilise import decay_of, stable_members
+from vsensor_ros.designer.stabilise import stable_members
 from vsensor_ros.observers import Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional import decay_of
 
 
 def heat_rod():

@@ -30,8 +30,9 @@ from vsensor_ros.designer.observer import acting, Candidate, knows_arguments
 from vsensor_ros.designer.order import Family
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import argument, Quotient
-from vsensor_ros.designer.stabilise import decay_of, fixed_roots, margin, stable_members
+from vsensor_ros.designer.stabilise import fixed_roots, margin, stable_members
 from vsensor_ros.designer.subspaces import in_row_space, solve_left
+from vsensor_ros.observers.kinds.functional import decay_of
 
 SPEEDS = (0.5, 1.0, 2.0, 4.0, 8.0)  # of the observer, against the plant's own mean rate
 MEMBERS = 3  # of a family without free spectrum

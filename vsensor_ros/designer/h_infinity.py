@@ -11,7 +11,7 @@ from vsensor_ros.designer.gain import peak_on_grid
 from vsensor_ros.designer.noise import Filter, kalman
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.relaxation import Disturbed
-from vsensor_ros.designer.stabilise import decay_of
+from vsensor_ros.observers.kinds.functional import decay_of
 
 GUARDS = 5  # bisections of the bound that a filter is made for
 

@@ -23,7 +23,6 @@ from vsensor_ros.designer.noise import mean_rate
 from vsensor_ros.designer.observer import build, Candidate, close_loop, knows_arguments, polished
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.sentences import say
-from vsensor_ros.designer.stabilise import decay_of
 from vsensor_ros.designer.subspaces import (
     in_row_space,
     left_kernel,
@@ -32,6 +31,7 @@ from vsensor_ros.designer.subspaces import (
     solve_left,
 )
 from vsensor_ros.observers import Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional import decay_of
 from vsensor_ros.reason import Reason
 
 NOISE_FACTOR = 2.0  # the fastest within this factor of the quietest is taken

@@ -16,6 +16,7 @@ from scipy.optimize import linprog, minimize
 
 from vsensor_ros.designer.order import Family
 from vsensor_ros.designer.subspaces import unobservable
+from vsensor_ros.observers.kinds.functional import decay_of
 from vsensor_ros.reason import Reason
 
 STARTS = 6  # descents from different points
@@ -34,15 +35,6 @@ class NoStableMember:
 
     proved: bool  # that there is none; else none was found
     why: Reason
-
-
-def decay_of(eigenvalues: np.ndarray, sample_time: float | None) -> float:
-    """Slowest rate [1/s] at which a linear error with these eigenvalues dies out."""
-    if len(eigenvalues) == 0:
-        return np.inf
-    if sample_time is None:
-        return float(-eigenvalues.real.max())
-    return float(-np.log(max(np.abs(eigenvalues).max(), 1e-12)) / sample_time)
 
 
 def stable_members(family: Family, sample_time: float | None,

@@ -62,7 +62,7 @@ def read_json(path: str | Path) -> Any:
 
 
 @dataclass(frozen=True)
-class Reader:
+class CheckedObject:
     """One JSON object being checked, and where it stands in the file."""
 
     path: str | Path
@@ -79,9 +79,9 @@ class Reader:
             if key not in keys:
                 raise self.fail(key[:80], 'is not a key of the design file')
 
-    def without(self, keys: Iterable[str]) -> Reader:
+    def without(self, keys: Iterable[str]) -> CheckedObject:
         """Return the same object without some keys, which somebody else reads."""
-        return Reader(self.path, self.place,
+        return CheckedObject(self.path, self.place,
                       {key: value for key, value in self.record.items() if key not in keys})
 
     def get(self, key: str, kind: type | tuple[type, ...], what: str) -> Any:
@@ -120,7 +120,8 @@ class Reader:
         value = self.get(key, list, 'a list of two numbers')
         if len(value) != 2:
             raise self.fail(key, 'is not 2 numbers')
-        items = Reader(self.path, self.place, {f'{key}[{i}]': v for i, v in enumerate(value)})
+        items = CheckedObject(self.path, self.place,
+                              {f'{key}[{i}]': v for i, v in enumerate(value)})
         first, second = (items.size(f'{key}[{i}]', infinite[i]) for i in range(2))
         return first, second
 
@@ -171,22 +172,22 @@ class Reader:
             raise self.fail(key, 'is not finite')
         return array
 
-    def object(self, key: str) -> Reader:
+    def object(self, key: str) -> CheckedObject:
         """Read an object."""
-        return Reader(self.path, f'{self.place}{key}.', self.get(key, dict, 'an object'))
+        return CheckedObject(self.path, f'{self.place}{key}.', self.get(key, dict, 'an object'))
 
-    def optional(self, key: str) -> Reader | None:
+    def optional(self, key: str) -> CheckedObject | None:
         """Read an object, or null."""
         return None if self.record.get(key, 0) is None else self.object(key)
 
-    def objects(self, key: str) -> list[Reader]:
+    def objects(self, key: str) -> list[CheckedObject]:
         """Read a list of objects."""
         value = self.get(key, list, 'a list')
         readers = []
         for i, item in enumerate(value):
             if not isinstance(item, dict):
                 raise self.fail(f'{key}[{i}]', 'must be an object')
-            readers.append(Reader(self.path, f'{self.place}{key}[{i}].', item))
+            readers.append(CheckedObject(self.path, f'{self.place}{key}[{i}].', item))
         return readers
 
 

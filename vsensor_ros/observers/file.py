@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, reason
-from vsensor_ros.observers.checked_json import MEND, read_json, Reader
+from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry, Key, Refusal
 from vsensor_ros.observers.kinds import kind_named, kind_names
@@ -76,7 +76,7 @@ def _entry_record(entry: Entry | Refusal) -> dict[str, Any]:
 def _from_record(record: Any, path: str | Path) -> Contents:
     if not isinstance(record, dict) or record.get('format') != FORMAT:
         raise BadInput(path, 'format', f'is not {FORMAT!r}', 'name a file that the designer wrote')
-    top = Reader(path, '', record)
+    top = CheckedObject(path, '', record)
     version = top.get('version', int, 'a whole number')
     if not OLDEST <= version <= VERSION:
         mend = 'update vsensor_ros' if version > VERSION else MEND
@@ -118,7 +118,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     return design
 
 
-def _read_key(reader: Reader, design: Contents) -> tuple[str, tuple[str, ...]]:
+def _read_key(reader: CheckedObject, design: Contents) -> tuple[str, tuple[str, ...]]:
     channel = reader.text('channel')
     fault_set = reader.names('fault_set')
     if not set(fault_set) <= set(design.sensors):
@@ -130,13 +130,13 @@ def _read_key(reader: Reader, design: Contents) -> tuple[str, tuple[str, ...]]:
     return channel, fault_set
 
 
-def _read_refusal(reader: Reader, channel: str, fault_set: tuple[str, ...]) -> Refusal:
+def _read_refusal(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]) -> Refusal:
     reader.only(('channel', 'fault_set', 'reason', 'doubts', 'alternative'))
     return Refusal(channel, fault_set, reader.text('reason'), reader.texts('doubts'),
                    reader.text('alternative'))
 
 
-def _read_virtual_sensor(reader: Reader, channel: str, fault_set: tuple[str, ...],
+def _read_virtual_sensor(reader: CheckedObject, channel: str, fault_set: tuple[str, ...],
                          design: Contents, version: int) -> Entry:
     name, own = 'functional', ['channel', 'fault_set']
     if version >= FIRST_WITH_KINDS:

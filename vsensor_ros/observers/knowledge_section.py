@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from vsensor_ros.observers.checked_json import or_null, Reader
+from vsensor_ros.observers.checked_json import CheckedObject, or_null
 from vsensor_ros.observers.knowledge import Noise, OrderStep, Proof, Rung
 
 
@@ -26,7 +26,7 @@ def noise_record(noise: Noise | None) -> dict[str, Any] | None:
     return None if noise is None else {**asdict(noise), 'floor': or_null(noise.floor)}
 
 
-def read_proof(reader: Reader | None, order: int, grade: str) -> Proof | None:
+def read_proof(reader: CheckedObject | None, order: int, grade: str) -> Proof | None:
     """Read what is proved of the least order."""
     if reader is None:
         return None
@@ -52,14 +52,14 @@ def read_proof(reader: Reader | None, order: int, grade: str) -> Proof | None:
     return Proof(lower, upper, tuple(steps), reader.texts('doubts'))
 
 
-def read_rung(reader: Reader) -> Rung:
+def read_rung(reader: CheckedObject) -> Rung:
     """Read an order to choose from."""
     reader.only(('order', 'noise', 'noise_gain', 'decay', 'method'))
     return Rung(reader.whole('order'), reader.size('noise'), reader.size('noise_gain'),
                 reader.size('decay', infinite=True), reader.text('method'))
 
 
-def read_noise(reader: Reader | None) -> Noise | None:
+def read_noise(reader: CheckedObject | None) -> Noise | None:
     """Read what noise does in steady state."""
     if reader is None:
         return None

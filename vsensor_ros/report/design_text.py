@@ -180,8 +180,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
     else:
         region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
                            for of, low, high in entry.region)
-        where = ('everywhere' if c.status == 'global' else 'only in a region'
-                 if all(of in c.reason for of, _, _ in entry.region) else f'only while {region}')
+        where = 'everywhere' if c.status == 'global' else f'only while {region}'
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
     if c.lipschitz is not None and entry.order:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.observers.checked_json import Reader
+from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry
 from vsensor_ros.observers.kinds.batch import Batch, Told
@@ -31,7 +31,7 @@ class Kind:
     write: Callable[[Any], dict[str, Any]]
     # makes an entry of such a section, a channel and a fault set, the design (without its
     # entries) and the version of the file; raises BadInput
-    read: Callable[[Reader, str, tuple[str, ...], Contents, int], Entry]
+    read: Callable[[CheckedObject, str, tuple[str, ...], Contents, int], Entry]
     # makes a batch of all entries of this kind, their design, the period of the steps [s], and
     # the gains (L, m) of the commands that the bank takes out of each reading; None: none
     batch: Callable[[Sequence[Any], Contents, float, np.ndarray | None], Batch]

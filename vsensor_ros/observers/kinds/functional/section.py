@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.functions.nonlinearity import check_term, NonlinearTerm
-from vsensor_ros.observers.checked_json import INF, LARGEST_SIDE, or_null, Reader
+from vsensor_ros.observers.checked_json import CheckedObject, INF, LARGEST_SIDE, or_null
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.functional.virtual_sensor import is_stable, VirtualSensor
 from vsensor_ros.observers.knowledge import Certificate, Limit
@@ -62,7 +62,7 @@ def _certificate_record(c: Certificate) -> dict[str, Any]:
     }
 
 
-def read_section(reader: Reader, channel: str, fault_set: tuple[str, ...], plant: Contents,
+def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...], plant: Contents,
                  version: int) -> VirtualSensor:
     """Read what write_section wrote, or an earlier version; raises BadInput."""
     reader.only(_KEYS)
@@ -109,7 +109,7 @@ def read_section(reader: Reader, channel: str, fault_set: tuple[str, ...], plant
         v, certificate=_read_certificate(certificate, v, version))
 
 
-def _read_certificate(reader: Reader, v: VirtualSensor, version: int) -> Certificate:
+def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> Certificate:
     reader.only(('status', 'rate', 'bound', 'S', 'region', 'lipschitz', 'reason'))
     status = reader.word('status', ('global', 'region', 'none'))
     rate = reader.size('rate', infinite=True)
@@ -126,7 +126,7 @@ def _read_certificate(reader: Reader, v: VirtualSensor, version: int) -> Certifi
                        reader.text('reason'))
 
 
-def _read_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
+def _read_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:
     region = []
     for item in reader.objects('region'):
         item.only(('term', 'argument', 'low', 'high'))
@@ -143,7 +143,7 @@ def _read_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
     return tuple(region)
 
 
-def _read_named_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
+def _read_named_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:
     """
     Read a region as it stood in the file before version 4: as texts.
 
@@ -167,14 +167,14 @@ def _read_named_region(reader: Reader, v: VirtualSensor) -> tuple[Limit, ...]:
                     for item in items if item.text('name') in v.inputs])
 
 
-def _read_limits(reader: Reader) -> tuple[float, float]:
+def _read_limits(reader: CheckedObject) -> tuple[float, float]:
     low, high = reader.limit('low', -INF), reader.limit('high', INF)
     if not low < high:
         raise reader.fail('low', 'is not below high')
     return low, high
 
 
-def _read_start(reader: Reader, k: int) -> np.ndarray | None:
+def _read_start(reader: CheckedObject, k: int) -> np.ndarray | None:
     if 'start' not in reader.record:
         return None
     start = reader.array('start', k, k)

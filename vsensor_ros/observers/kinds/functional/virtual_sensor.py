@@ -88,11 +88,7 @@ class VirtualSensor:
     @property
     def decay(self) -> float:
         """Slowest rate [1/s] at which a linear error dies out; inf without states."""
-        if not self.order:
-            return np.inf
-        if self.sample_time is None:
-            return float(-self.eigenvalues.real.max())
-        return float(-np.log(max(np.abs(self.eigenvalues).max(), 1e-12)) / self.sample_time)
+        return decay_of(self.eigenvalues, self.sample_time)
 
     @property
     def active(self) -> tuple[int, ...]:
@@ -127,3 +123,12 @@ def is_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:
     if sample_time is None:
         return bool(np.all(eigenvalues.real < 0.0))
     return bool(np.all(np.abs(eigenvalues) < 1.0))
+
+
+def decay_of(eigenvalues: np.ndarray, sample_time: float | None) -> float:
+    """Return the slowest rate [1/s] at which a linear error with these eigenvalues dies out."""
+    if len(eigenvalues) == 0:
+        return np.inf
+    if sample_time is None:
+        return float(-eigenvalues.real.max())
+    return float(-np.log(max(np.abs(eigenvalues).max(), 1e-12)) / sample_time)
