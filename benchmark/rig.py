@@ -29,9 +29,9 @@ from vsensor_ros.lab.domain import (
     open_nodes,
     reserved_domain,
     stay_on_this_computer,
-    take,
 )
 from vsensor_ros.lab.process import Failed, Process
+from vsensor_ros.node.private_rclpy import take_all
 from vsensor_ros.observers import Design
 
 PERIOD = 0.01  # s, of the virtual sensors
@@ -113,7 +113,7 @@ class Rig:
         """Return what has come in since the last time."""
         heard = []
         for i, output in enumerate(self._outputs):
-            for raw, info in take(output, raw=True):
+            for raw, info in take_all(output, raw=True):
                 stamp, replaced = self.load.read(raw)
                 heard.append(Heard(i, stamp, info['source_timestamp'],
                                    info['received_timestamp'], replaced))

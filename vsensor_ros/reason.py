@@ -72,6 +72,7 @@ SENTENCES = {
     'not sent': 'not sent: {text}',
     'mistake': 'a mistake of this node ({error})',
     'clock stands still': 'the clock stands still: no /clock since {seconds:.1f} s',
+    'trace': '{text}',
     # what is said now and then
     'counted': '{name}: {why} ({count} so far)',
     'clock jumped ahead': 'the clock jumped ahead by {seconds:.1f} s; all virtual sensors start '

@@ -24,11 +24,12 @@ import yaml
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.player import main
 from vsensor_ros.lab import play as player
-from vsensor_ros.lab.domain import reserved_domain, take
+from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, play, START_TOPIC
 from vsensor_ros.lab.wiring import blank, wiring_of
 from vsensor_ros.node.accessor import get_stamp
+from vsensor_ros.node.private_rclpy import take_all
 from vsensor_ros.simulate.fault import drop_out, freeze, Recorded
 
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -51,7 +52,7 @@ def listen(node, kind, topic, qos=None):
 
 
 def taken(subscription):
-    return (message for message, _ in take(subscription))
+    return (message for message, _ in take_all(subscription))
 
 
 def read_wiring(path):

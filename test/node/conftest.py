@@ -256,7 +256,7 @@ class Rig:
     def counts(self):
         """How often what was not used or not sent on, by sensor and reason in words."""
         return Counter({(name, str(why)): n for (name, why), n in
-                        self.replacer.engine._intake.counts.items()})
+                        self.replacer.engine._intake.counts().items()})
 
     def why(self, name):
         """Return in words why a channel is what it is."""

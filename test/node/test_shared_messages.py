@@ -326,3 +326,15 @@ def test_joints_that_change_their_order(rig, joint_parameters):
         last = decode(JointState, heard[-1])
         assert last.name == name[turned:] + name[:turned]
         assert dict(zip(last.name, last.position)) == {'elbow': 1.5, 'wrist': i, 'shoulder': 0.75}
+
+
+def test_numbers_without_names_may_be_those_of_the_failed(rig, joint_parameters):
+    r = rig(joint_parameters)
+    heard = r.listen('sensor_msgs/msg/JointState', '/joint_states')
+    r.step(r.healthy()[2], periods=3)
+    r.isolate('y1')  # before its driver was ever heard
+    r.step(('/joint_states_raw', JointState(position=[100.0, 200.0])), r.healthy()[2], periods=3)
+    assert not heard
+    r.step(('/joint_states_raw', JointState(name=['gripper'], position=[0.1])))
+    assert r.spin_until(lambda: len(heard) == 1)  # of others: what has names is known to be
+

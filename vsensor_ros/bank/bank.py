@@ -25,7 +25,7 @@ class Bank(Steps):
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
                  jump_ahead: float | None = None) -> None:
-        """Prepare, see `Steps`; raises ValueError."""
+        """Prepare, see `Steps`; raises BadInput."""
         super().__init__(design, rate, max_age, jump_ahead)
         self._entries = {(frozenset(fault_set), channel): entry
                          for (fault_set, channel), entry in design.entries.items()}

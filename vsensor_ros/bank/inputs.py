@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.readings import Samples, Seen
 from vsensor_ros.observers import Told
 from vsensor_ros.reason import Reason
@@ -180,12 +181,13 @@ def ages_of(sensors: tuple[str, ...], max_age: float | Mapping[str, float],
     """
     Return the max_age of each sensor in ns, at least so many; 0.5 s for those not named.
 
-    Raises ValueError, one line, when a name or a time is none.
+    Raises BadInput when a name or a time is none.
     """
     given = max_age if isinstance(max_age, Mapping) else dict.fromkeys(sensors, max_age)
     for name, age in given.items():
         if name not in sensors:
-            raise ValueError(f'max_age: {name} is no sensor; name one of {", ".join(sensors)}')
+            raise BadInput('', 'max_age', f'{name} is no sensor',
+                           f'name one of {", ".join(sensors)}')
         if not age > 0.0:
-            raise ValueError(f'max_age: {age} is not a time in s; give a number above 0')
+            raise BadInput('', 'max_age', f'{age} is not a time in s', 'give a number above 0')
     return {name: max(round(min(given.get(name, 0.5), 1e9) * 1e9), least) for name in sensors}

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.measured import Measured
@@ -55,22 +56,23 @@ class Steps:
 
         max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
         than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. Raises
-        ValueError, one line, when a number does not suit the design.
+        BadInput when a number does not suit the design.
         """
         if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
-            raise ValueError(f'rate: {rate} is not a rate in Hz; give a number above 0')
+            raise BadInput('', 'rate', f'{rate} is not a rate in Hz', 'give a number above 0')
         if design.sample_time is not None and abs(rate * design.sample_time - 1.0) > 1e-6:
-            raise ValueError(f'rate: {rate:g} Hz does not suit a plant with the sample time '
-                             f'{design.sample_time:g} s; give {1.0 / design.sample_time:g}')
+            raise BadInput('', 'rate', f'{rate:g} Hz does not suit a plant with the sample time '
+                           f'{design.sample_time:g} s', f'give {1.0 / design.sample_time:g}')
         for name in set(design.sensors) & set(design.inputs):
-            raise ValueError(f'{name}: is both a sensor and a command; rename one')
+            raise BadInput('', name, 'is both a sensor and a command', 'rename one')
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         ages = ages_of(design.sensors, max_age, 3 * self.period)
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
         if jump_ahead is not None and not jump_ahead > 0.0:
-            raise ValueError(f'jump_ahead: {jump_ahead} is not a time in s; give a number above 0')
+            raise BadInput('', 'jump_ahead', f'{jump_ahead} is not a time in s',
+                           'give a number above 0')
         self._jump = _LONGEST if jump_ahead is None else max(
             3, min(round(min(jump_ahead, 1e9) * 1e9 / self.period), 10 * _LONGEST))
         # a discrete plant's readings are of the instants at which its commands begin

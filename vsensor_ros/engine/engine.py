@@ -9,9 +9,12 @@ are events: each is a call, with plain data as its arguments. Messages to be mad
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 import math
+import traceback
+from types import MappingProxyType
+from typing import Any
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
@@ -54,7 +57,8 @@ class Engine:
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
                    self._intake.say) for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
-        self._isolated: IsolationReport = IsolationReport({}, frozenset())
+        self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts
+        self._knows: frozenset[str] = frozenset()  # sensors that isolation has spoken of
         self._starts = 0
         self._moved = 0.0  # when simulated time did, by a steady clock
         self._turned = False  # a decision has changed
@@ -135,10 +139,9 @@ class Engine:
             self.count(where.names[0], verdict)
         return verdict
 
-    def failed_templates(self, stream: int) -> list[tuple[int, Token]]:
-        """Return what messages of other joints may be related to; mostly nothing."""
-        where = self._streams[stream]
-        return where.failed_templates() if where.failed else []
+    def failed_templates(self, stream: int) -> list[tuple[int, Token]] | None:
+        """Return what a foreign message may be related to; None, mostly: nothing has failed."""
+        return self._streams[stream].failed_templates()
 
     def learn(self, stream: int, message: Message, received: int) -> None:
         """Take what a message says. received: its time when it has no stamp."""
@@ -162,8 +165,12 @@ class Engine:
 
     def isolate(self, report: IsolationReport) -> Messages:
         """Take what isolation says in all: see `together`."""
-        self._isolated = report
-        reported = frozenset(report.faulty)
+        now, lasting = self._clock.now, self._clock.lasting()
+        self._knows = report.knows
+        self._isolated = {  # a time from before the clock began is now
+            s: self._isolated.get(s, lasting - (max(0, now - since) if since else 0))
+            for s, since in report.faulty.items() if s in self._channels}
+        reported = frozenset(self._isolated)
         if reported == self._switch.reported:
             return []
         names = ', '.join(s for s in self._design.sensors if s in reported)
@@ -262,7 +269,15 @@ class Engine:
         return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
 
     def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
-        return self._stand_in.speak(stream, self._switch.decisions, self._believed, at, at_once)
+        """Return what stands in for failed channels; a mistake in one stream ends no other."""
+        try:
+            return self._stand_in.speak(stream, self._switch.decisions, self._believed, at,
+                                        at_once)
+        except Exception as error:
+            self.count(stream.names[0], Reason.of('mistake', error=type(error).__name__))
+            self._intake.say('error', Reason.of('trace', text=traceback.format_exc()),
+                             (stream.names, type(error)))
+            return []
 
     def done(self, composition: Composition, trouble: Reason | None = None) -> None:
         """
@@ -283,11 +298,7 @@ class Engine:
 
     def remarks(self) -> list[Remark]:
         """Return what is to be said to people, once."""
-        if not self._intake.remarks:
-            return []
-        said = list(self._intake.remarks)
-        self._intake.remarks.clear()
-        return said
+        return self._intake.remarks()
 
     def changed(self) -> bool:
         """Tell whether some channel is something else than when it was last told; look by now."""
@@ -310,11 +321,21 @@ class Engine:
         """Return how everything is; steady: now, by a clock that never jumps."""
         still = steady - self._moved if self._clock.simulated else 0.0
         faulty = tuple(s for s in self._design.sensors if s in self._switch.faulty)
+        counts = _by_channel(self._intake.counts().items())
+        outside = _by_channel(((name, key), n) for (key, name), n in
+                              self._bank.outside_domain.items())
+        restarts = _by_channel(((name, key), n) for (key, name), n in
+                               self._bank.restarts.items())
         return EngineState(
-            tuple(self._state(stream, channel, faulty, stopped(still))
+            tuple(replace(self._state(stream, channel, faulty, stopped(still)),
+                          outside_domain=sum(outside.get(channel.name, {}).values()),
+                          restarts=sum(restarts.get(channel.name, {}).values()),
+                          counts=MappingProxyType(counts.get(channel.name, {})))
                   for stream in self._streams for channel in stream.channels),
-            faulty, self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
-            dict(self._clock.jumps), self._starts, still)
+            faulty, tuple(s for s in self._design.sensors if s in self._knows),
+            self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
+            MappingProxyType(dict(self._clock.jumps)),
+            self._starts + sum(self._bank.jumps.values()), still)
 
     def _residual(self, name: str, fault_set: tuple[str, ...]) -> float:
         """Return the last reading of a faulty sensor - its estimate; NaN when not known."""
@@ -347,23 +368,22 @@ class Engine:
                 Reason.of('both', first=reason, second=silence)
         recovering = self._switch.recovering.get(name)
         key = fault_set if serves is not None else (name,)  # of its reserve, while it is real
-        isolated = self._isolated.faulty.get(name)
         return ChannelState(
             name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
             '' if serves is None else serves.grade, value, deviation, interval,
             channel.blend.left(lasting), channel.switches, channel.blend.step,
             _seconds(channel.since, lasting), channel.virtual_time(lasting) * 1e-9,
-            name in self._switch.forced, _seconds(isolated, self._clock.now),
+            name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
-            self._bank.outside_region(key, name), _total(self._bank.outside_domain, name),
-            _total(self._bank.restarts, name),
-            {why: count for (of, why), count in self._intake.counts.items() if of == name},
-            channel.readings)
+            self._bank.outside_region(key, name), 0, 0, {}, channel.readings)
 
 
-def _total(counts: Counter[tuple[tuple[str, ...], str]], name: str) -> int:
-    """Return what was counted of all virtual sensors of a channel."""
-    return sum(count for (_, channel), count in counts.items() if channel == name)
+def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
+    """Return what was counted of what, by channel."""
+    found: dict[str, dict[Any, int]] = {}
+    for (name, what), count in counts:
+        found.setdefault(name, {})[what] = count
+    return found
 
 
 def _seconds(since: int | None, now: int) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from vsensor_ros.reason import Reason
@@ -33,7 +34,7 @@ class Forward(NamedTuple):
     changed: Mapping[int, float]
 
 
-AS_IT_CAME = Forward({})
+AS_IT_CAME = Forward(MappingProxyType({}))
 
 
 class Substitute(NamedTuple):

@@ -20,8 +20,9 @@ class Intake:
 
     def __init__(self, bank: Bank, clock: Clock) -> None:
         self.held: dict[str, float] = {}  # by sensor: the last value worth holding
-        self.counts: Counter[tuple[str, Reason]] = Counter()
-        self.remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
+        self._counts: Counter[tuple[str, Reason]] = Counter()
+        self._remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
+        self._counted: dict[tuple[str, Reason], None] = {}  # since people were told last
         self._bank, self._clock = bank, clock
         self._last: dict[str, int] = {}  # by sensor: its last stamp
         self._long: dict[str, int] = {}  # by sensor: long intervals in a row
@@ -29,13 +30,28 @@ class Intake:
 
     def count(self, name: str, why: Reason) -> None:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
-        self.counts[name, why] += 1
-        self.remarks.append(Remark('warning', Reason.of(
-            'counted', name=name, why=why, count=self.counts[name, why]), (name, why)))
+        self._counts[name, why] += 1
+        self._counted[name, why] = None
 
-    def say(self, level: str, what: Reason, subject: object) -> None:
-        """Let people hear something."""
-        self.remarks.append(Remark(level, what, subject))
+    def say(self, level: str, what: Reason, subject: object = None) -> None:
+        """Let people hear something; the subject is itself if not given."""
+        self._remarks.append(Remark(level, what, what if subject is None else subject))
+
+    def counts(self) -> Counter[tuple[str, Reason]]:
+        """Return how often what was not used or not sent, by channel and reason."""
+        return self._counts + self._bank.refused
+
+    def remarks(self) -> list[Remark]:
+        """Return what is to be said to people, once; of what was counted the last number."""
+        if not self._remarks and not self._counted:
+            return []
+        counts = self.counts()
+        said = [*self._remarks, *(
+            Remark('warning', Reason.of('counted', name=key[0], why=key[1], count=counts[key]),
+                   key) for key in self._counted)]
+        self._remarks.clear()
+        self._counted.clear()
+        return said
 
     def readings(self, stream: Stream, message: Message, received: int) -> None:
         """Take what a message says of its channels. received: its time when it has no stamp."""
@@ -57,7 +73,7 @@ class Intake:
         elif stamp := stamp or self._unstamped(received):
             reason = self._bank.take(name, stamp, value, self._clock.now)
             if reason is not None:
-                self.count(name, reason)
+                self._counted[name, reason] = None  # by the bank
 
     def forget(self) -> None:
         """Begin anew after the clock jumped."""
@@ -79,7 +95,7 @@ class Intake:
             elif name in self._long:
                 del self._long[name]
         elif reason.code != 'isolated':  # what it says then is compared, and not worth a word
-            self.count(name, reason)
+            self._counted[name, reason] = None  # by the bank
 
     def _time(self, channel: Channel, interval: int) -> None:
         """Say once when a sensor is slower than the silence that makes it invalid."""

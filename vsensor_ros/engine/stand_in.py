@@ -116,9 +116,15 @@ class StandIn:
         """Note that a message went out."""
         stream.sent(composition)
         for i, field in composition.fields:
-            if isinstance(field, Substitute) and field.fault_set is not None:
+            if not isinstance(field, Substitute):
+                continue
+            if field.fault_set is not None:
                 self._held[stream.names[i]] = field.value
                 self.estimates += 1
+            elif (why := stream.channels[i].why) is not None and math.isnan(field.value):
+                # nothing was to go out, but it shares its message with others
+                stream.channels[i].why = Reason.of('instead', why=why.fact('why'),
+                                                   instead=Reason('nan'))
 
     def failed(self, stream: Stream, composition: Composition, trouble: Reason) -> None:
         """Note that a message cannot be made, so that its channels have no source."""
@@ -128,9 +134,6 @@ class StandIn:
                 _note(stream.channels[i], trouble)
 
 
-def _note(channel: Channel, trouble: Reason | None) -> None:
-    """Note that a failed channel has no message; None: NaN is in it, because of others."""
-    if trouble is not None:
-        channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))
-    elif channel.why is not None:
-        channel.why = Reason.of('instead', why=channel.why.fact('why'), instead=Reason('nan'))
+def _note(channel: Channel, trouble: Reason) -> None:
+    """Note why a failed channel has no message."""
+    channel.why = Reason.of('instead', why=trouble, instead=Reason('stop'))

@@ -48,6 +48,7 @@ class EngineState:
 
     channels: tuple[ChannelState, ...]  # stream by stream
     faulty: tuple[str, ...]  # the effective set, in the design's order
+    spoken_of: tuple[str, ...]  # by isolation, since the start: sensors whose names it knows
     ticks: int
     left_out: int  # ticks, because time had gone on too far
     estimates: int  # that went out

@@ -46,7 +46,7 @@ class Stream:
     """The messages of one input, on their way to one output."""
 
     def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
-                 say: Callable[[str, Reason, object], object]) -> None:
+                 say: Callable[[str, Reason], object]) -> None:
         """Begin with nothing heard; channels: those of the plan, in its order."""
         self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
         self.active = False  # sends
@@ -123,8 +123,10 @@ class Stream:
             return None
         return AS_IT_CAME if self.active else None
 
-    def failed_templates(self) -> list[tuple[int, Token]]:
-        """Return the templates of the senders with failed channels, by their numbers."""
+    def failed_templates(self) -> list[tuple[int, Token]] | None:
+        """Return the templates of the senders with failed channels, by their numbers; or None."""
+        if not self.failed:
+            return None
         return [(sender.number, sender.template) for sender in self.senders.all
                 if self.failed & sender.channels and sender.template is not None]
 
@@ -153,9 +155,8 @@ class Stream:
         return Forward(changed) if changed else AS_IT_CAME
 
     def _step_back(self, seconds: float) -> None:
-        self._say('error', Reason.of(
-            'stamps step back', topic=self.plan.source, output=self.plan.output,
-            seconds=seconds), ('stamps', self.index))
+        self._say('error', Reason.of('stamps step back', topic=self.plan.source,
+                                     output=self.plan.output, seconds=seconds))
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
@@ -225,17 +226,17 @@ class Stream:
                     channel.why = None
 
     def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool,
-                ) -> tuple[list[Composition], dict[str, Reason | None]]:
+                ) -> tuple[list[Composition], dict[str, Reason]]:
         """
         Make of each template a message with these channels replaced, for the time of the state.
 
         All other channels are as they were last heard, NaN when that is too long ago. A sender
         none of whose channels has a value sends nothing; beside others, one without is NaN.
-        at_once: may be stamped a little later. Returns the messages, and by channel why nothing
-        goes out for it, None if NaN does.
+        at_once: may be stamped a little later. Returns the messages, and by failed channel why
+        there is none.
         """
         made: list[Composition] = []
-        troubles: dict[str, Reason | None] = {}
+        troubles: dict[str, Reason] = {}
         if not self.active or time == 0:
             return made, troubles
         for sender, names in self.senders.serving(wanted).items():
@@ -244,12 +245,11 @@ class Stream:
                     self.fresh(name) for name in sender.channels if name not in names):
                 continue
             composed = self._compose(sender, time, wanted, at_once)
-            trouble = composed if isinstance(composed, Reason) else None
-            self.trouble(sender.channels, trouble)
-            for name in names if trouble else stopped:
-                troubles[name] = trouble
             if isinstance(composed, Composition):
                 made.append(composed)
+            elif composed is not None:
+                self.trouble(sender.channels, composed)
+                troubles.update(dict.fromkeys(names, composed))
         return made, troubles
 
     def trouble(self, names: Sequence[str] | set[str], why: Reason | None) -> None:
@@ -263,6 +263,7 @@ class Stream:
         for sender in self.senders.all:
             if sender.number == composition.sender:
                 sender.last_sent, sender.composed = composition.stamp, True
+        self.trouble([self.names[i] for i, _ in composition.fields], None)
 
     def _compose(self, sender: Sender, time: int, wanted: Mapping[str, Wanted],
                  at_once: bool) -> Composition | Reason | None:
@@ -275,9 +276,8 @@ class Stream:
             assert sender.blocked is not None
             return NOT_NEWER if now - sender.blocked > self._longest else None
         if sender.apart and not sender.composed:
-            self._say('error', Reason.of(
-                'clock of its own', topic=self.plan.source, seconds=sender.offset * 1e-9),
-                ('clock', self.index))
+            self._say('error', Reason.of('clock of its own', topic=self.plan.source,
+                                         seconds=sender.offset * 1e-9))
         return Composition(
             self.index, sender.number, sender.template, sender.first, self._silent(sender), stamp,
             time, tuple((i, self._field(channel, wanted.get(channel.name), time))

@@ -21,7 +21,6 @@ from vsensor_ros.lab.domain import (
     open_nodes,
     reserved_domain,
     stay_on_this_computer,
-    take,
 )
 from vsensor_ros.lab.parameter_file import read_parameters
 from vsensor_ros.lab.play import LATCHED, LATE_CODE, START_TOPIC, to_stamp
@@ -29,6 +28,7 @@ from vsensor_ros.lab.process import Failed, Process
 from vsensor_ros.lab.screen import read_status, StatusMessage
 from vsensor_ros.lab.wiring import Wiring, wiring_of
 from vsensor_ros.node.accessor import get_stamp, has_stamp
+from vsensor_ros.node.private_rclpy import take_all
 from vsensor_ros.simulate.judge import Heard
 from vsensor_ros.simulate.scenario import Scenario
 from vsensor_ros.simulate.table import write_table
@@ -130,7 +130,7 @@ class _Listener:
                 and self.node.count_publishers(self.port.output) > 0)
 
     def started(self) -> bool:
-        for message, _ in take(self.start):
+        for message, _ in take_all(self.start):
             self.origin = message.sec * 10**9 + message.nanosec
             self.began = time.monotonic() - 1e-9 * (time.time_ns() - self.origin)
             return True
@@ -165,12 +165,12 @@ class _Listener:
             if isolated is None and now >= scenario.isolated_at:
                 isolated = time.monotonic()
                 self.isolate()
-            for message, _ in take(self.output):
+            for message, _ in take_all(self.output):
                 value = self.port.field.get(message)
                 if isinstance(value, float):
                     stamp = scenario.start + 1e-9 * (get_stamp(message) - self.origin)
                     self.heard.append((stamp, value, time.monotonic()))
-            for message, _ in take(self.status):
+            for message, _ in take_all(self.status):
                 self.note(read_status(message), now)
             if wall - shown > 0.1:
                 shown = wall

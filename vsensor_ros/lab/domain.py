@@ -10,12 +10,10 @@ from typing import Any
 
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.config_folder import config_folder
 from vsensor_ros.lab.process import Failed
-from vsensor_ros.node.private_rclpy import taker
 
 DOMAIN_PORT = 27400     # TCP port held while domain 1, 2, .. is in use; the tests hold the same
 
@@ -65,14 +63,6 @@ def open_nodes(*names: str, domain: int | None = None,
         for node in nodes:
             node.destroy_node()
         context.try_shutdown()
-
-
-def take(subscription: Subscription, raw: bool = False) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield what has come: messages, or their bytes if `raw`, each with the middleware's facts."""
-    one = taker(subscription)
-    with subscription.handle:
-        while taken := one(subscription.msg_type, raw):
-            yield taken
 
 
 def by_hand(message: Any) -> None:

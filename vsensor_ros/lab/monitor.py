@@ -15,8 +15,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.lab.domain import by_hand, open_nodes, take
+from vsensor_ros.lab.domain import by_hand, open_nodes
 from vsensor_ros.lab.screen import changes, duration, Line, OLD, read_status, screen, StatusMessage
+from vsensor_ros.node.private_rclpy import take_all
 
 LOOK = 0.1  # s that a look at the topic takes at most
 POLL = 0.01  # s
@@ -79,7 +80,7 @@ class Listener:
         """Wait a moment for a status; tell whether one came."""
         end = time.monotonic() + LOOK
         while time.monotonic() < end:
-            for array, _ in take(self._status):
+            for array, _ in take_all(self._status):
                 self.told, self.at = read_status(array), time.monotonic()
                 return True
             time.sleep(POLL)

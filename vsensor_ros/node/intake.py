@@ -41,7 +41,8 @@ def _hear(topic: Topic, engine: Engine, raw: bytes, received: int) -> None:
         engine.unreadable(topic.index)
         return
     related = None
-    if reading.foreign and (templates := engine.failed_templates(topic.index)):
+    if reading.foreign and (
+            templates := engine.failed_templates(topic.index)) is not None:
         related = topic.related(raw, templates)
     verdict = engine.judge(topic.index, reading, raw, related)
     if verdict.__class__ is Forward:

@@ -8,7 +8,7 @@ replacer waits on the same wait set itself, and takes and sends bytes. Written f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -22,6 +22,7 @@ PARTS = {  # (class, attribute): what it is needed for
     ('Subscription', 'take_message'): 'to take messages that no executor waits for',
     ('Subscription', 'pointer'): 'to know which subscription is ready',
     ('Publisher', 'publish_raw'): 'to send messages on as the bytes that came',
+    ('LifecycleStateMachine', 'destroy_when_not_in_use'): 'to end a managed node',
     ('WaitSet', 'add_subscription'): 'to wait for messages without an executor',
     ('WaitSet', 'clear_entities'): 'to wait for messages again',
     ('WaitSet', 'wait'): 'to wait for messages without an executor',
@@ -43,6 +44,15 @@ def taker(subscription: Subscription) -> Callable[[Any, bool], Any]:
     """
     take: Callable[[Any, bool], Any] = subscription.handle.take_message
     return take
+
+
+def take_all(subscription: Subscription,
+             raw: bool = False) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield what has come: messages, or their bytes if raw, each with the middleware's facts."""
+    with subscription.handle:
+        take = taker(subscription)
+        while taken := take(subscription.msg_type, raw):
+            yield taken
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:

@@ -102,11 +102,9 @@ class Replacer:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
                 tuple(topic.plan for topic in topics), self.simulated, settings.live))
-        except ValueError as error:
-            name, _, problem = str(error).partition(': ')
-            problem, _, mend = problem.partition('; ')
-            raise Refused([BadInput(self.node.get_fully_qualified_name(), name, problem, mend)]) \
-                from None
+        except BadInput as error:
+            raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
+                                    error.problem, error.mend)]) from None
 
     def close(self) -> None:
         """Close all topics; nothing may poll any more."""

@@ -257,5 +257,6 @@ def _loop_facts(engine: EngineState, health: Health, state: str) -> Mapping[str,
         'not_used': health.not_used,
         'thrown_away': health.thrown_away,
         'faulty': ' '.join(engine.faulty),
+        'spoken_of': ' '.join(engine.spoken_of),
         **{f'clock_{way.replace(" ", "_")}': count for way, count in engine.jumps.items()},
     }

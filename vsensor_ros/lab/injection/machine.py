@@ -14,12 +14,13 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from vsensor_ros.lab.domain import by_hand, take
+from vsensor_ros.lab.domain import by_hand
 from vsensor_ros.lab.injection.truth import Truth
 from vsensor_ros.lab.injection.verdict import Evidence, Out, Stated, StatusHeard
 from vsensor_ros.lab.played_driver import drivers_of, names_in, PlayedDriver
 from vsensor_ros.lab.wiring import Port, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
+from vsensor_ros.node.private_rclpy import take_all
 from vsensor_ros.simulate.fault import Recorded
 
 POLL = 0.001            # s between two looks at the topics
@@ -173,11 +174,11 @@ class Machine:
     def listen(self) -> None:
         """Take everything that has come."""
         for topic, (subscription, ports) in self.outputs.items():
-            for raw, _ in take(subscription, raw=True):
+            for raw, _ in take_all(subscription, raw=True):
                 self._note(topic, ports, raw)
-        for message, _ in take(self._estimates):
+        for message, _ in take_all(self._estimates):
             self._note_estimates(message)
-        for message, _ in take(self._status):
+        for message, _ in take_all(self._status):
             facts = {s.name: {v.key: v.value for v in s.values} for s in message.status}
             self.statuses += 1
             if any(name in facts for name in self.truth.value):     # else it is being shut down
@@ -185,7 +186,7 @@ class Machine:
                 self.heard.told.append(StatusHeard(time.monotonic(), facts))
                 self.heard.spoken.update(self.wiring.ports[name].output for name in facts if (
                     facts[name].get('source') == 'virtual'))
-        for message, _ in take(self._diagnostics):
+        for message, _ in take_all(self._diagnostics):
             self.said.update({s.name: s.message for s in message.status})
 
     def _note_estimates(self, message: DiagnosticArray) -> None:
