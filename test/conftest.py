@@ -26,6 +26,15 @@ settings.register_profile('explore', **PATIENT)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
+ON_A_GRAPH = ('node', 'lab', 'test_monitor.py', 'test_benchmark.py')
+
+
+def pytest_collection_modifyitems(items):
+    """Keep what plays on a ROS graph in one process: side by side it would only wait longer."""
+    for item in items:
+        if set(ON_A_GRAPH) & set(item.path.relative_to(Path(__file__).parent).parts):
+            item.add_marker(pytest.mark.xdist_group('ros'))
+
 
 
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
