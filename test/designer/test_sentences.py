@@ -41,7 +41,7 @@ def test_nothing_takes_a_text_of_its_own_apart(room):
 def test_what_stands_in_the_way_is_known_by_code_and_facts():
     chain = Plant.from_matrices([[-1, 0], [1, -1]], None, np.eye(2), [1, 0])
     in_the_way = examine(pose(chain, ('y1', 'y2'), 'y1')).obstruction
-    assert in_the_way.code == 'unknown inputs' and in_the_way['names'] == ('rho1',)
+    assert in_the_way.code == 'unknown inputs' and in_the_way.fact('names') == ('rho1',)
     assert in_the_way['healthy'] == ()
     assert say(in_the_way) == ('the unknown input rho1 acts on it and no sensor is left to tell '
                                'them apart')
