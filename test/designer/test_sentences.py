@@ -42,13 +42,13 @@ def test_what_stands_in_the_way_is_known_by_code_and_facts():
     chain = Plant.from_matrices([[-1, 0], [1, -1]], None, np.eye(2), [1, 0])
     in_the_way = examine(pose(chain, ('y1', 'y2'), 'y1')).obstruction
     assert in_the_way.code == 'unknown inputs' and in_the_way.fact('names') == ('rho1',)
-    assert in_the_way['healthy'] == ()
+    assert in_the_way.fact('healthy') == ()
     assert say(in_the_way) == ('the unknown input rho1 acts on it and no sensor is left to tell '
                                'them apart')
     growing = Plant.from_matrices(np.diag([-1.0, 0.5]), None, np.eye(2))
     found = examine(pose(growing, ('y2',), 'y2'))
-    assert found.hidden and found.obstruction['size'] == pytest.approx(0.5)
-    assert found.obstruction['states'] == ('x2',)
+    assert found.hidden and found.obstruction.fact('size') == pytest.approx(0.5)
+    assert found.obstruction.fact('states') == ('x2',)
     assert not examine(pose(chain, ('y2',), 'y2')).hidden
 
 
