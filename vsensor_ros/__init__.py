@@ -9,10 +9,10 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vsensor_ros.designer import design
-    from vsensor_ros.observers import Design
+    from vsensor_ros.observers import Design, Refusal, VirtualSensor
     from vsensor_ros.plant import load_plant, Plant
 
-__all__ = ['Design', 'Plant', 'design', 'load_plant']
+__all__ = ['Design', 'Plant', 'Refusal', 'VirtualSensor', 'design', 'load_plant']
 
 
 def __getattr__(name: str) -> Any:
@@ -23,7 +23,7 @@ def __getattr__(name: str) -> Any:
     if name in ('Plant', 'load_plant'):
         from vsensor_ros import plant
         return getattr(plant, name)
-    if name == 'Design':
-        from vsensor_ros.observers import Design
-        return Design
+    if name in ('Design', 'Refusal', 'VirtualSensor'):
+        from vsensor_ros import observers
+        return getattr(observers, name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

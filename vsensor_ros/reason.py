@@ -1,15 +1,20 @@
 """
-Why something is not so, as data: a code and facts. The sentences of all codes stand here.
+Why something is not so, as data: a code and facts.
 
-Logic asks for the code and the facts; people are shown ``str(reason)``.
+Logic asks for the code and the facts; people are shown ``str(reason)``. The sentences of the
+machine stand here. A room or a kind with codes of its own adds its sentences (`add_sentences`), so
+that the machine does not load those of the desk.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-SENTENCES = {
+Sentence = str | Callable[..., str]  # {fact} stands for a fact; or called with the facts
+
+SENTENCES: dict[str, Sentence] = {
     # of readings and commands that are not used
     'not finite': 'not finite',
     'ahead of the clock': 'stamp ahead of the clock',
@@ -28,7 +33,6 @@ SENTENCES = {
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
-    'expired': 'no longer good after {seconds:.1f} s',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
     # of faulty sensors: why they are not believed
@@ -106,6 +110,16 @@ class Reason:
         return dict(self.facts)[name]
 
     def __str__(self) -> str:
-        return SENTENCES[self.code].format(**{
+        sentence = SENTENCES.get(self.code, self.code)
+        if not isinstance(sentence, str):
+            return sentence(**dict(self.facts))
+        return sentence.format(**{
             fact: ', '.join(map(str, value)) if isinstance(value, tuple) else value
             for fact, value in self.facts})
+
+
+def add_sentences(sentences: Mapping[str, Sentence]) -> None:
+    """Make the sentences of more codes known; raises ValueError when a code is taken."""
+    for code, sentence in sentences.items():
+        if SENTENCES.setdefault(code, sentence) is not sentence:
+            raise ValueError(f'{code}: there is a sentence for this code already')

@@ -61,7 +61,7 @@ def test_a_refusal_names_the_least_set_that_lost_the_channel():
         assert made[fault_set, 'y1'].reason == f'already when y1 alone has failed: {alone}'
     made = design(plant, [('y1', 'y2', 'y4'), ('y1', 'y2'), ('y1', 'y2', 'y3')])
     assert made[('y1', 'y2', 'y3'), 'y1'].reason == (
-        'already when y1 and y2 alone has failed: ' + made[('y1', 'y2'), 'y1'].reason)
+        'already when y1 and y2 alone have failed: ' + made[('y1', 'y2'), 'y1'].reason)
 
 
 @pytest.mark.parametrize(('reason', 'text'), [

@@ -22,7 +22,7 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
 from vsensor_ros.node.cdr import decode, Reading
 from vsensor_ros.observers.kinds import Batch, Kind, kind_named, register
-from vsensor_ros.reason import Reason
+from vsensor_ros.reason import add_sentences, Reason
 from vsensor_ros.report.design_answer import answer
 
 MS = 1_000_000
@@ -106,6 +106,7 @@ def read(reader, channel, fault_set, design, version):
 
 
 register(Kind('constant', write, read, batch))
+add_sentences({'expired': 'no longer good after {seconds} s'})
 BOTH = Constant('y2', ('y2', 'y3'), {'y2': 4.0, 'y3': -2.0}, 0.5, 1.0)
 
 
@@ -298,3 +299,30 @@ def test_a_name_is_taken_once():
     with pytest.raises(ValueError, match='functional: there is a kind of this name already'):
         register(Kind('functional', write, read, batch))
     register(kind_named('constant'))  # the same once more does no harm
+
+
+def test_a_kind_that_nobody_knows_is_one_line(mixed, tmp_path):
+    entry = Strange('y3', ('y3',), {'y3': 7.0}, 0.0, 1.0)
+    strange = replace(mixed, entries={(('y3',), 'y3'): entry})
+    with pytest.raises(BadInput, match='kind: strange is not one of functional, constant'):
+        strange.save(tmp_path / 'strange.json')
+    with pytest.raises(BadInput, match='kind: strange is not one of functional, constant'):
+        Bank(strange, 100)
+
+
+def test_entries_stand_under_just_their_outputs(mixed, tmp_path):
+    path = tmp_path / 'x.json'
+    copies = {key: replace(BOTH) for key in mixed.entries if key[0] == BOTH.fault_set}
+    replace(mixed, entries={**mixed.entries, **copies}).save(path)  # equal, if not the same
+    assert Design.load(path)[('y2', 'y3'), 'y3'] == BOTH
+    one = {key: e for key, e in mixed.entries.items() if key != (('y2', 'y3'), 'y3')}
+    foreign = {**one, (('y3',), 'y3'): BOTH}
+    for entries in (one, foreign):
+        with pytest.raises(BadInput, match='does not stand under just its fault set and outputs'):
+            replace(mixed, entries=entries).save(path)
+
+
+class Strange(Constant):
+    """Of a kind that is not registered."""
+
+    kind = 'strange'

@@ -274,10 +274,14 @@ BROKEN = {
         'region[1].argument: 7: there are 1'),
     'region by name': (lambda r: certificate(r, 2)['region'][0].update(name='x2'),
                        'region[0].name: is not a key'),
-    'older region of other arguments': (
-        lambda r: (as_version_3(r), certificate(r, 2)['region'].append(
-            {'name': 'x7', 'low': 0.0, 'high': 1.0})),
-        'certificate.region: names 2 arguments of terms; 1 feed'),
+    'argument bounded twice': (
+        lambda r: certificate(r, 2)['region'].append(dict(certificate(r, 2)['region'][0])),
+        'region[2].argument: stands there twice'),
+    'bound of an argument that feeds nothing': (
+        lambda r: r['entries'][2].update(P=[[0.0], [0.0]]), 'does not feed the estimate'),
+    'form that is none': (
+        lambda r: certificate(r, 2).update(S=[[1.0, 2.0], [2.0, 1.0]]),
+        'S: is not symmetric and positive'),
     'empty region': (
         lambda r: certificate(r, 2)['region'][0].update(low=3.0), 'region[0].low: is not below'),
     'side left out': (lambda r: certificate(r, 2)['region'][0].pop('low'), 'low: is missing'),
@@ -517,11 +521,11 @@ _certificates = st.one_of(
               arrays(float, (1, 1), elements=_numbers), st.just(()),
               st.none() | st.tuples(_open, _open), _text),
     st.builds(Certificate, st.just('region'), _open, _open,
-              arrays(float, (1, 1), elements=_numbers),
+              arrays(float, (1, 1), elements=st.floats(1e-300, 1e300)),
               st.lists(st.builds(Limit, st.none() | st.just(0), st.just(0),
                                  st.floats(max_value=0.0, allow_nan=False),
                                  st.floats(0.0, exclude_min=True, allow_nan=False)),
-                       min_size=1, max_size=3).map(tuple),
+                       min_size=1, max_size=2, unique_by=lambda limit: limit.term).map(tuple),
               st.tuples(_open, _open), _text))
 
 
@@ -546,6 +550,40 @@ def test_whatever_is_known_comes_back_to_the_last_bit(tmp_path_factory, **known)
     result.entries[key] = replace(result[key], **known)
     result.save(path)
     same(Design.load(path)[key], result[key])
+
+
+def test_a_region_of_an_older_file_that_nobody_can_place_is_no_proof(tmp_path):
+    path = tmp_path / 'old.json'
+    example().save(path)
+    record = json.loads(path.read_text())
+    as_version_3(record)
+    certificate(record, 2)['region'].append({'name': 'x7', 'low': 0.0, 'high': 1.0})
+    path.write_text(json.dumps(record))
+    loaded = list(Design.load(path).entries.values())[2]
+    assert loaded.certificate.status == 'none' and not loaded.certificate.region
+    assert loaded.certificate.rate == 0.0 and 'older file' in loaded.certificate.reason
+
+
+@pytest.mark.parametrize('scale', [1e-10, 1.0, 1e10])
+def test_small_numbers_are_told_apart_in_an_older_region(tmp_path, scale):
+    """Arguments in pascals have coefficients of any size."""
+    path = tmp_path / 'old.json'
+    made = example()
+    key = ('y2',), 'y2'
+    v = made[key]
+    term = NonlinearTerm('sqrt(a)', v.terms[0].text, v.terms[0].slope)
+    twice = replace(
+        v, terms=(*v.terms, term), P=np.hstack([v.P, v.P]),
+        Gz=(v.Gz[0] * scale, v.Gz[0] * 2.0 * scale), Gy=(v.Gy[0] * scale, v.Gy[0] * 2.0 * scale),
+        Gu=(v.Gu[0], v.Gu[0]), certificate=replace(
+            v.certificate, status='region',
+            region=(Limit(0, 0, -1.0, 1.0), Limit(1, 0, -2.0, 2.0))))
+    made.entries[key] = twice
+    made.save(path)
+    record = json.loads(path.read_text())
+    as_version_3(record)
+    path.write_text(json.dumps(record))
+    assert Design.load(path)[key].certificate.region == twice.certificate.region
 
 
 _values = st.recursive(

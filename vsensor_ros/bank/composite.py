@@ -7,7 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsensor_ros.observers import Batch, Design, Entry, kind_named, Refusal, Told
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.observers import (
+    Batch,
+    Design,
+    Entry,
+    kind_named,
+    kind_names,
+    Refusal,
+    Told,
+)
 from vsensor_ros.reason import Reason
 
 
@@ -20,6 +29,9 @@ def batch_of(design: Design, period: float, Cu: np.ndarray | None) -> Batch:
     by_kind: dict[str, list[Entry]] = {}
     for entry in design.each_once():
         if not isinstance(entry, Refusal):
+            if entry.kind not in kind_names():
+                raise BadInput('', 'kind', f'{entry.kind:.80} is not one of '
+                               f'{", ".join(kind_names())}', 'register the kind')
             by_kind.setdefault(entry.kind, []).append(entry)
     parts = [kind_named(name).batch(entries, design, period, Cu)
              for name, entries in by_kind.items()]

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from decimal import Context, ROUND_CEILING
 
-from vsensor_ros.reason import Reason
+from vsensor_ros.reason import add_sentences, Reason
 
 Names = Sequence[str]
 
 
 def say(reason: Reason) -> str:
     """Return the sentence of a reason of the designer."""
-    return SENTENCES[reason.code](**dict(reason.facts))
+    return str(reason)
 
 
 def listed(names: Names) -> str:
@@ -61,7 +61,9 @@ def _mode_stays(size: float, discrete: bool, states: Names, healthy: Names, term
 
 
 def _already_without(fault_set: Names, reason: str) -> str:
-    return f'already when {" and ".join(fault_set) or "no sensor"} alone has failed: {reason}'
+    have = 'have' if len(fault_set) > 1 else 'has'
+    return (f'already when {" and ".join(fault_set) or "no sensor"} alone {have} failed: '
+            f'{reason}')
 
 
 # ------------------------------------------------------------ why one was sought and not found
@@ -173,3 +175,5 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'disturbed rung': lambda method, gain: f'{method}, unknown inputs times {gain:.3g}',
     'alternative': _alternative,
 }
+
+add_sentences(SENTENCES)

@@ -32,4 +32,5 @@ class Contents:
 
     def each_once(self) -> tuple[Entry | Refusal, ...]:
         """Return all entries; a virtual sensor of several outputs counts once."""
-        return tuple({id(entry): entry for entry in self.entries.values()}.values())
+        return tuple({(entry.fault_set, entry.channel): entry
+                      for entry in self.entries.values()}.values())

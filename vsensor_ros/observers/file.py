@@ -29,6 +29,8 @@ FIRST_WITH_KINDS = 4  # before it all were functional
 
 def write(design: Contents, path: str | Path) -> None:
     """Write a design; raises BadInput. See ``Design.save``."""
+    for entry in design.each_once():
+        _check_place(entry, design, path)
     try:
         text = json.dumps(_to_record(design), indent=1, default=np.generic.item) + '\n'
     except (TypeError, ValueError) as error:
@@ -40,6 +42,20 @@ def write(design: Contents, path: str | Path) -> None:
     except (OSError, ValueError) as error:
         raise BadInput(path, 'design file', f'cannot be written ({reason(error)})',
                        'name a file in a folder that exists and is writable') from error
+
+
+def _check_place(entry: Entry | Refusal, design: Contents, path: str | Path) -> None:
+    """Raise BadInput unless an entry stands under its outputs, all of them, and can be written."""
+    outputs = (entry.channel,) if isinstance(entry, Refusal) else entry.outputs
+    own = {key for key, found in design.entries.items()
+           if (found.fault_set, found.channel) == (entry.fault_set, entry.channel)}
+    if own != {(entry.fault_set, output) for output in outputs}:
+        raise BadInput(path, 'entries', f'{entry.channel} of {{{", ".join(entry.fault_set)}}} '
+                       'does not stand under just its fault set and outputs',
+                       'give it its own place')
+    if not isinstance(entry, Refusal) and entry.kind not in kind_names():
+        raise BadInput(path, 'kind', f'{entry.kind:.80} is not one of {", ".join(kind_names())}',
+                       'register the kind')
 
 
 def read(path: str | Path) -> Contents:

@@ -71,8 +71,9 @@ class FunctionalBatch(Batch):
         """
         Return how far vhat (V,) may be off when readings have moved unseen.
 
-        A reading that moves at its slope puts vhat off by no more than its peak gain allows. Nor
-        by more than a ramp of it does, through Q (if direct) and through z.
+        A reading that has moved at its slope for its age is wrong by slope x age. What vhat is off
+        then has two bounds, and the smaller one counts: the peak gain times that; and what a ramp
+        of this slope does at once, through Q (if direct), and through z.
         """
         through = self.pushes * ages * (ages + self.sample_time) / 2
         if direct:
@@ -98,6 +99,7 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
     starts_on[:, :L] |= z0_gain.any(axis=1)
     direct = any(v.Qu.any() or any(v.Gu[i].any() for i in v.active) for v in clean)
     convergence = tuple(converge(v) for v in kept)
+    regions = tuple(_widened(v, sensors) for v in clean)
     return FunctionalBatch(
         keys=tuple((v.fault_set, v.channel) for v in kept),
         of=np.arange(V),
@@ -111,7 +113,7 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
         slowest=np.array([c.slowest for c in convergence]),
         warm_up=np.array([c.warm_up for c in convergence]),
         proved=np.array([c.proved for c in convergence], dtype=bool),
-        wants_held=direct,
+        wants_held=direct or any(r is not None and r.Gu.any() for r in regions),
         left_out={(v.fault_set, v.channel): Reason.of(
             'several rows', channel=v.channel, rows=len(v.Cv)) for v in entries if len(v.Cv) > 1},
         fused=make_step(clean, sensors, period) if kept else None,
@@ -124,7 +126,7 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
         pushes=pad([widen(v, sensors, reading_pushes(v)) for v in kept] + [np.zeros(L)])[:-1],
         sample_time=design.sample_time or 0.0,
         convergence=convergence,
-        regions=tuple(_widened(v, sensors) for v in clean))
+        regions=regions)
 
 
 def _widened(v: VirtualSensor, sensors: tuple[str, ...]) -> Region | None:

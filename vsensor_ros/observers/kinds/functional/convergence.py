@@ -55,8 +55,9 @@ class Region(NamedTuple):
 def region_of(v: VirtualSensor) -> Region | None:
     """Return where the certificate of a virtual sensor holds; None: everywhere, or nowhere."""
     limits = () if v.certificate is None else v.certificate.region
-    inside = [(v.Gz[i][j], v.Gy[i][j], v.Gu[i][j], low, high)
-              for i, j, low, high in limits if i is not None]
+    k, l0, one = v.order, len(v.healthy), np.eye(len(v.inputs))
+    inside = [(np.zeros(k), np.zeros(l0), one[j], low, high) if i is None else
+              (v.Gz[i][j], v.Gy[i][j], v.Gu[i][j], low, high) for i, j, low, high in limits]
     return Region(*map(np.array, zip(*inside))) if inside else None
 
 

@@ -116,18 +116,23 @@ def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> 
     if status == 'none' and rate:
         raise reader.fail('rate', 'must be 0 where nothing is certified')
     region = _read_region(reader, v) if version > 3 else _read_named_region(reader, v)
-    if bool(region) != (status == 'region'):
+    if region is not None and bool(region) != (status == 'region'):
         raise reader.fail('region', f'does not agree with the status {status}')
     lipschitz = None
     if reader.record.get('lipschitz', 0) is not None:
         lipschitz = reader.pair('lipschitz', (True, True))
-    return Certificate(status, rate, reader.size('bound', infinite=True),
-                       reader.array('S', v.order, v.order), region, lipschitz,
-                       reader.text('reason'))
+    bound, why = reader.size('bound', infinite=True), reader.text('reason')
+    S = reader.array('S', v.order, v.order)
+    if region is None:
+        return Certificate('none', 0.0, INF, np.zeros_like(S), (), lipschitz, 'it cannot be told '
+                           'which arguments the region of this older file bounds')
+    if version > 3 and status != 'none' and not _is_definite(S):
+        raise reader.fail('S', 'is not symmetric and positive definite')
+    return Certificate(status, rate, bound, S, region, lipschitz, why)
 
 
 def _read_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:
-    region = []
+    region: list[Limit] = []
     for item in reader.objects('region'):
         item.only(('term', 'argument', 'low', 'high'))
         term, count = None, len(v.inputs)
@@ -139,32 +144,70 @@ def _read_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:
         argument = item.whole('argument')
         if argument >= count:
             raise item.fail('argument', f'{argument}: there are {count}, counted from 0')
+        if (term, argument) in {(limit.term, limit.argument) for limit in region}:
+            raise item.fail('argument', 'stands there twice')
         region.append(Limit(term, argument, *_read_limits(item)))
+    places = {(limit.term, limit.argument) for limit in region if limit.term is not None}
+    feeding = _feeding(v, exact=True)
+    stray = places - {place for alike in feeding for place in alike}
+    if stray:
+        term, argument = min(stray)
+        raise reader.fail('region', f'argument {argument} of term {term} does not feed the '
+                          'estimate')
+    if places and not all(places.intersection(alike) for alike in feeding):
+        raise reader.fail('region', 'lacks an argument that feeds the estimate')
     return tuple(region)
 
 
-def _read_named_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:
+def _feeding(v: VirtualSensor, exact: bool) -> list[list[tuple[int, int]]]:
     """
-    Read a region as it stood in the file before version 4: as texts.
+    Return the arguments (term, argument) by which the estimate feeds its terms, equals together.
+
+    exact: equal to the last bit; else to nine digits.
+    """
+    found: dict[bytes, list[tuple[int, int]]] = {}
+    for i in v.active:
+        for j, rows in enumerate(zip(v.Gz[i], v.Gy[i])) if v.Gz[i].any() else ():
+            row = np.concatenate(rows)
+            if not exact:
+                scale = np.abs(row).max(initial=0.0) or 1.0
+                row = np.round(row / scale, 9) * scale
+            found.setdefault((row + 0.0).tobytes(), []).append((i, j))
+    return list(found.values())
+
+
+def _is_definite(S: np.ndarray) -> bool:
+    """Tell whether a matrix is symmetric and positive definite, but for rounding."""
+    size = np.sqrt(np.abs(np.diag(S)))
+    if not len(S):
+        return True
+    if not (size > 0.0).all() or not np.allclose(S, S.T, rtol=1e-9, atol=0.0):
+        return False
+    return bool((np.diag(S) > 0.0).all() and np.linalg.eigvalsh(
+        S / size / size[:, None]).min() > -1e-9)
+
+
+def _read_named_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...] | None:
+    """
+    Read a region as it stood in the file before version 4: as texts; None: whose, is not clear.
 
     The designer listed each argument by which the estimate feeds its terms, equal ones once, and
     then commands.
     """
-    arguments: dict[bytes, tuple[int, int]] = {}
-    for i in v.active:
-        for j, rows in enumerate(zip(v.Gz[i], v.Gy[i])) if v.Gz[i].any() else ():
-            arguments.setdefault(np.round(np.concatenate(rows), 9).tobytes(), (i, j))
     items = reader.objects('region')
     for item in items:
         item.only(('name', 'low', 'high'))
-    told = [item for item in items if item.text('name') not in v.inputs]
-    if told and len(told) != len(arguments):
-        raise reader.fail('region', f'names {len(told)} arguments of terms; {len(arguments)} feed '
-                          'the estimate')
-    return tuple([Limit(i, j, *_read_limits(item))
-                  for item, (i, j) in zip(told, arguments.values())]
-                 + [Limit(None, v.inputs.index(item.text('name')), *_read_limits(item))
-                    for item in items if item.text('name') in v.inputs])
+    limits = [_read_limits(item) for item in items]
+    told = [limit for item, limit in zip(items, limits) if item.text('name') not in v.inputs]
+    commands = [Limit(None, v.inputs.index(item.text('name')), *limit)
+                for item, limit in zip(items, limits) if item.text('name') in v.inputs]
+    if not told:
+        return tuple(commands)
+    for exact in (True, False):
+        arguments = [alike[0] for alike in _feeding(v, exact)]
+        if len(arguments) == len(told):
+            return (*(Limit(i, j, *limit) for (i, j), limit in zip(arguments, told)), *commands)
+    return None
 
 
 def _read_limits(reader: CheckedObject) -> tuple[float, float]:
