@@ -301,7 +301,11 @@ class Engine:
         return self._intake.remarks()
 
     def changed(self) -> bool:
-        """Tell whether some channel is something else than when it was last told; look by now."""
+        """
+        Tell whether a channel has become something else since this was asked before.
+
+        It looks at once after a decision, else every LOOK.
+        """
         if not self._turned and 0 <= self._clock.now - self._looked < LOOK:
             return False
         self._turned, self._looked = False, self._clock.now
@@ -389,7 +393,3 @@ def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict
 def _seconds(since: int | None, now: int) -> float:
     """Return what has passed since a time [ns] in s; NaN since none."""
     return math.nan if since is None else (now - since) * 1e-9
-
-
-
-
