@@ -191,7 +191,28 @@ def test_an_unstable_plant_that_nothing_holds_is_refused(pendulum, tmp_path, cap
             (tmp_path / 'demo.yaml').write_text(yaml.safe_dump(content))
         assert main(['--only', 'bias', *pendulum]) == 2
         said = capsys.readouterr().err
-        assert said.count('\n') == 1 and 'unstable' in said and 'give inputs that hold it' in said
+        assert said.count('\n') == 1 and 'unstable' in said and 'give inputs that hold the plant' in said
+
+
+@pytest.mark.parametrize('force, dynamics, told', [
+    # a gain that is too weak: one pole stays at 0.5 1/s
+    ('2*sin(1.3*t) - 8.5*angle - 0.5*speed', '9*angle + force',
+     'simulation.inputs: y1: runs away: pendulum is not held by inputs that read its states; '
+     'give inputs that hold the plant'),
+    ('exp(0.5*t)', '-9*angle - speed + force',
+     'simulation.inputs: y1: runs away: pendulum follows inputs that grow; give inputs'),
+    ('exp(1e3*t)', '-9*angle - speed + force', 'simulation.inputs.force: is 5.18e+21 at'),
+    ('-30*angle - 8*speed + exp(1e3*t)', '9*angle + force',
+     'simulation.inputs.force: is 5.18e+21 at'),
+])
+def test_a_truth_that_runs_away_is_refused(pendulum, tmp_path, capsys, force, dynamics, told):
+    plant = {**PENDULUM, 'dynamics': {'angle': 'speed', 'speed': dynamics}}
+    (tmp_path / 'plant.yaml').write_text(yaml.safe_dump(plant, sort_keys=False))
+    (tmp_path / 'demo.yaml').write_text(yaml.safe_dump({'simulation': {'inputs': {
+        'force': force}}}))
+    assert main(['--only', 'freeze,handover', *pendulum]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1 and f'{tmp_path / "demo.yaml"}: {told}' in said
 
 
 def test_the_cases_are_listed(capsys):
