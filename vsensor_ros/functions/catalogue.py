@@ -154,8 +154,7 @@ _ALL = (
         'sign', ('x',), '-1, 0 or 1; a term that is a sign alone is dry friction: at 0, whatever '
         'between -1 and 1 holds x there', np.sign,
         slopes=(lambda x: _kink(x == 0.0, 0.0),),
-        bounds=_sign_bounds, slope_bounds=RISING,
-        resolvent=lambda s, a: np.clip(s / a, -1.0, 1.0)),
+        bounds=_sign_bounds, slope_bounds=RISING, set_valued=True),
     Function(
         'sqrt', ('x',), 'square root', odd_root,
         slopes=(lambda x: 0.5 / abs(x) ** 0.5 if x else INFINITY,),
