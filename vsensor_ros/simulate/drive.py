@@ -19,8 +19,8 @@ from vsensor_ros.simulate.simulate import readings, simulate
 Array = NDArray[np.float64]
 Law = Callable[[Any, Array], Array]     # times (T,), states (n, T) or (n, 1) -> commands (T, m)
 
-HOLD = ('give inputs that hold the plant, such as `force: -30*angle - 8*rate`: they may read t and '
-        'the states')
+HOLD = ('give inputs that hold the plant, such as `force: -30*angle - 8*rate`: they may read t '
+        'and the states')
 DRIVE = frozenset({'duration', 'sensor_rate', 'command_rate', 'inputs', 'initial', 'disturbances',
                    'noise'})  # what may stand in `simulation`
 LARGEST = 1e12  # no machine is commanded more, in any unit
