@@ -235,7 +235,7 @@ def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
         if '--node' in said:
             break
     assert said == (
-        'no replacer on /replacer/status: is it running? ros2 node list; or is it --node '
+        'monitor: no replacer on /replacer/status: is it running? ros2 node list; or is it --node '
         '/arm/replacer?\n')
 
 
@@ -243,7 +243,7 @@ def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
 def test_a_bad_name_is_refused_in_one_line(name, capsys):
     assert main(['--once', '--node', name]) == 2
     said = capsys.readouterr().err
-    assert '--node' in said and said.count('\n') == 1
+    assert said.startswith('monitor: --node: ') and said.count('\n') == 1
 
 
 def test_without_rich_one_line_says_how_to_install_it(monkeypatch, capsys):
