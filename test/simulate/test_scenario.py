@@ -168,7 +168,7 @@ def test_a_fault_is_told_which_number_it_lacks_or_has_too_many(tmp_path, fault, 
 
 @pytest.mark.parametrize('fault, row, error', [
     ({'kind': 'spikes', 'start': 1.0, 'size': 2.0, 'probability': 1.0}, 15, 2.0),
-    ({'kind': 'drift', 'start': 2.0, 'end': 2.45, 'rate': 8.0}, 24, 8.0 * 0.4)])
+    ({'kind': 'drift', 'start': 1.2, 'end': 2.45, 'rate': 8.0}, 24, 8.0 * 1.2)])
 def test_each_number_of_a_fault_reaches_it(tmp_path, fault, row, error):
     said, healthy = (load(tmp_path, {**given(), 'faults': [each]}).channels['y'].value[row]
                      for each in (fault, {'kind': 'drop_out', 'start': 1.0}))
