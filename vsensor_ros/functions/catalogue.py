@@ -3,7 +3,7 @@ The entries of the functions of the language.
 
 Every value is finite for finite arguments of ordinary size: outside its domain a function
 is continued, never NaN, and the continuation is monotone where the function is, so that an
-observer that still converges is pulled back (the method, section 6). What no continuation
+observer that still converges is pulled back (the method, section 5). What no continuation
 can mend is overflow: products and powers beyond 1e308 give inf as everywhere in numpy.
 """
 

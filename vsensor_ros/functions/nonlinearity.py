@@ -2,7 +2,7 @@
 The nonlinear terms of a plant: psi(w, u) = f(w, u) - slope @ w, with w = G x.
 
 f is written in the expression language over w1..wr and the plant's input names; its
-functions come from the catalogue, continued outside their domains (the method, section 6).
+functions come from the catalogue, continued outside their domains (the method, section 5).
 The slope is the formal addend that was moved into the matrix A (the method, 3.2).
 """
 
