@@ -21,6 +21,7 @@ from vsensor_ros.lab.injection import suite
 from vsensor_ros.lab.injection.suite import ALL, CaseResult, QUICK, TRIES
 from vsensor_ros.lab.injection.truth import compute_truth
 from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
+from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.plant import load_plant
 
 SERVO = Path(__file__).parents[2] / 'config' / 'servo'
@@ -112,7 +113,8 @@ def test_a_relay_that_lies_fails(quick, tmp_path, monkeypatch, capsys):
     (tmp_path / 'liar.py').write_text(LIAR)
     with reserved_domain() as domain:
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-        liar = subprocess.Popen([sys.executable, str(tmp_path / 'liar.py')], env=os.environ)
+        liar = subprocess.Popen([sys.executable, str(tmp_path / 'liar.py')], env=os.environ,
+                                preexec_fn=die_with_parent)
         try:
             code = main(['--only', 'bias,nan,kill_9', '--running', *quick])
         finally:

@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from vsensor_ros.command.monitor import main
 from vsensor_ros.lab import monitor
 from vsensor_ros.lab.domain import reserved_domain
+from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.lab.screen import changes, duration, read_status, screen
 
 WORDS = 'virtual (isolated), from y3, voltage, good to 0.02 rad/s; repair y2'
@@ -210,7 +211,8 @@ def test_on_a_terminal_it_is_drawn_until_interrupted(replacer):
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack('HHHH', 24, 80, 0, 0))
     process = subprocess.Popen(
         [sys.executable, '-m', 'vsensor_ros.command.monitor', '--node', '/arm/replacer'],
-        stdin=slave, stdout=slave, stderr=slave, env={**os.environ, 'TERM': 'xterm'})
+        stdin=slave, stdout=slave, stderr=slave, env={**os.environ, 'TERM': 'xterm'},
+        preexec_fn=die_with_parent)
     os.close(slave)
     drawn = b''
     while b'{y2,y3} exact' not in drawn:
