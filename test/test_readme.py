@@ -45,6 +45,23 @@ def test_the_env_of_the_quick_start_is_that_of_make():
         assert given[name] == value
 
 
+@pytest.mark.parametrize('indented', [True, False], ids=['raw', 'rendered'])
+def test_python_in_the_readme_runs_as_it_is_copied(indented):
+    """A terminal is given what stands in the raw file, indented, or on the rendered page."""
+    text = README.read_text('utf-8')
+    scripts = re.findall(r'^ +python -c "([^"]*)"', text if indented else re.sub(
+        '^    ', '', text, flags=re.MULTILINE).replace('python -c', ' python -c'), re.MULTILINE)
+    assert scripts
+    for script in scripts:
+        compile(script, 'README.md', 'exec')
+
+
+def test_the_quick_start_writes_below_build_alone():
+    start = section(README, 'Quick start').partition('From `.venv`')[2]
+    assert re.findall(r'(?:-o|>) (\S+)', start.partition('**On your own')[0]) == [
+        'build/servo.design.json', 'build/servo.csv']
+
+
 def test_the_keys_of_the_status_are_those_sent():
     tree = ast.parse((ROOT / 'vsensor_ros/node/status.py').read_text('utf-8'))
     sent = {key.value for function in tree.body if isinstance(function, ast.FunctionDef)

@@ -204,7 +204,7 @@ def test_an_accelerometer_tells_the_force_that_it_feels():
 
 
 def test_published_cases():
-    """The servo (S) and the sampled three-tank (D), which method 5 (a) and (c) sum up."""
+    """The servo (S) and the sampled three-tank (D)."""
     servo = np.array([[0.0, 1, 0], [0, -1, 1], [0, -1, -1]])
     x, rho = np.eye(3), np.eye(3)[:, :1]
     velocity = x[1:2]

@@ -9,8 +9,8 @@ Chosen, because the paper does not say it: 400 steps; rho drawn anew at each ste
 default_rng(seed); the square roots continued as odd functions, for (27) asks for sqrt(z1 - y) of
 a negative number from t = 14 on. The figure is given as numbers in reference.json, not as curves.
 
-Corrected: A(2, 1) = +a1 and B = diag(a4, a5) (errata 13 of the method). Beside the paper's copy
-of x1, which rho drives in open loop, stands z1 = x1 + m x2 (errata 19, section 5c).
+Corrected: A(2, 1) = +a1 and B = diag(a4, a5) (erratum 13 of the method). Beside the paper's copy
+of x1, which rho drives in open loop, stands z1 = x1 + m x2.
 """
 
 from dataclasses import replace

@@ -5,7 +5,6 @@ from pathlib import Path
 import subprocess
 import sys
 
-from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 
@@ -21,7 +20,6 @@ from vsensor_ros.functions.interval import add, around, RISING, times
 from vsensor_ros.functions.nonlinearity import (
     evaluate,
     make_term,
-    monotone,
     outside_domain,
     set_valued,
     slope_at,
@@ -71,18 +69,6 @@ print(sorted(loaded - {{'vsensor_ros', 'numpy'}} - sys.stdlib_module_names))
     assert done.stdout == '[]\n', done.stdout + done.stderr
 
 
-@pytest.mark.parametrize('name', [n for n, f in ENTRIES.items() if f.resolvent])
-@given(s=st.floats(-5, 5), a=st.floats(0.01, 10))
-def test_a_resolvent_gives_a_value_that_the_function_has_there(name, s, a):
-    entry = ENTRIES[name]
-    value = float(entry.resolvent(s, a))
-    argument = s - a * value
-    if abs(argument) > 1e-9:
-        assert value == entry.value(argument)
-    else:  # between the values on both sides of the jump
-        assert entry.value(-1.0) <= value <= entry.value(1.0)
-
-
 def cube_bounds(x):
     square = times(x, x) if x[0] >= 0 or x[1] <= 0 else (0.0, max(x[0] * x[0], x[1] * x[1]))
     return around(x[0] ** 3, x[1] ** 3), (add(square, add(square, square)),)
@@ -123,7 +109,7 @@ def test_one_entry_is_enough_for_terms_and_their_slopes(cube):
     assert evaluate(term, [[2.0, -3.0]], (), ()).tolist() == [8.0, -27.0]
     assert slope_at(term, [2.0], (), ()) == 12.0
     assert outside_domain(term, [[99.0, -101.0]], (), ()).tolist() == [False, True]
-    assert monotone(term) is True and not set_valued(term)
+    assert not set_valued(term)
     bounds = slope_bounds_on(term, np.array([[-1.0, 2.0]]), (), np.zeros((0, 2)))
     assert bounds[0] == pytest.approx((0.0, 12.0))
 
@@ -159,3 +145,30 @@ def test_one_entry_is_enough_from_the_plant_file_to_the_bank(cube, tmp_path):
         bank.advance(k * bank.period)
     estimate = bank.estimate(('meter',), 'meter')
     assert estimate == pytest.approx(x[-1, 1], abs=2e-3) and x[-1, 1] > 0.3
+
+
+RELAY = Function(
+    'relay', ('x',), '-3, 0 or 3', lambda x: 3.0 * np.sign(x),
+    slopes=(lambda x: math.nan if x == 0.0 else 0.0,),
+    bounds=lambda x: ((3.0 * float(np.sign(x[0])), 3.0 * float(np.sign(x[1]))),
+                      (RISING if x[0] <= 0.0 <= x[1] else (0.0, 0.0),)),
+    slope_bounds=RISING, set_valued=True)
+
+
+def test_a_set_valued_function_other_than_sign_is_refused(monkeypatch, tmp_path):
+    """The step and the simulation would hold it within -1..1, as if it were a sign."""
+    path = tmp_path / 'plant.yaml'
+    path.write_text(SPRING.replace('0.1*cube(lag)', '0.1*sign(lag)').replace('cube', 'atan'))
+    made = tmp_path / 'design.json'
+    design(load_plant(path)).save(made)
+    monkeypatch.setitem(CATALOGUE, 'relay', RELAY)
+    for file in (path, made):
+        file.write_text(file.read_text().replace('sign(', 'relay('))
+    for load, file in ((load_plant, path), (Design.load, made)):
+        with pytest.raises(BadInput, match='relay is set-valued, which only sign may be; write it '
+                           'with sign') as caught:
+            load(file)
+        assert str(caught.value).startswith(f'{file}: ')
+    with pytest.raises(BadInput, match='relay is set-valued'):
+        Plant.from_matrices([[-1.0]], None, [[1.0]], G=[[1.0]], P=[[1.0]],
+                            nonlinearities=['relay(w1)'])

@@ -48,7 +48,8 @@ def test_table_says_who_failed():
 def test_an_unknown_system_is_refused_in_one_line(tmp_path, capsys):
     assert main(['four_tank', '--output', str(tmp_path / 'out')]) == 2
     said = capsys.readouterr().err
-    assert 'four_tank' in said and 'three_tank' in said and said.count('\n') == 1
+    assert said.startswith('demo: ') and 'four_tank' in said and 'three_tank' in said
+    assert said.count('\n') == 1
     assert not (tmp_path / 'out').exists()
 
 

@@ -21,6 +21,7 @@ from vsensor_ros.lab.injection import suite
 from vsensor_ros.lab.injection.suite import ALL, CaseResult, QUICK, TRIES
 from vsensor_ros.lab.injection.truth import compute_truth
 from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
+from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.plant import load_plant
 
 SERVO = Path(__file__).parents[2] / 'config' / 'servo'
@@ -112,7 +113,8 @@ def test_a_relay_that_lies_fails(quick, tmp_path, monkeypatch, capsys):
     (tmp_path / 'liar.py').write_text(LIAR)
     with reserved_domain() as domain:
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-        liar = subprocess.Popen([sys.executable, str(tmp_path / 'liar.py')], env=os.environ)
+        liar = subprocess.Popen([sys.executable, str(tmp_path / 'liar.py')], env=os.environ,
+                                preexec_fn=die_with_parent)
         try:
             code = main(['--only', 'bias,nan,kill_9', '--running', *quick])
         finally:
@@ -132,7 +134,8 @@ def test_a_relay_that_lies_fails(quick, tmp_path, monkeypatch, capsys):
 def test_what_cannot_be_done_is_said_in_one_line(quick, tmp_path, capsys):
     assert main(['--only', 'earthquake', *quick]) == 2
     said = capsys.readouterr().err
-    assert said.count('\n') == 1 and 'earthquake' in said and 'garbage' in said
+    assert said.count('\n') == 1 and 'garbage' in said
+    assert said.startswith('fault_injection: --only: there is no case earthquake; ')
     quick = [*quick[:4], '--only', 'start', *quick[4:]]
     for wrong in (['--plant', str(tmp_path / 'none.yaml'), *quick[2:]],
                   [*quick[:-1], str(tmp_path / 'none' / 'report.json')],
@@ -140,7 +143,8 @@ def test_what_cannot_be_done_is_said_in_one_line(quick, tmp_path, capsys):
                   [*quick, '--ros-args', '-r', 'a b']):
         assert main(wrong) == 2
         said = capsys.readouterr()
-        assert said.err.count('\n') == 1, said
+        assert said.err.count('\n') == 1 and said.err.startswith('fault_injection: '), said
+        assert not said.err.startswith('fault_injection: fault_injection'), said
 
 
 def rewrite(arguments, change):
@@ -191,7 +195,30 @@ def test_an_unstable_plant_that_nothing_holds_is_refused(pendulum, tmp_path, cap
             (tmp_path / 'demo.yaml').write_text(yaml.safe_dump(content))
         assert main(['--only', 'bias', *pendulum]) == 2
         said = capsys.readouterr().err
-        assert said.count('\n') == 1 and 'unstable' in said and 'give inputs that hold it' in said
+        assert said.count('\n') == 1
+        assert 'unstable' in said and 'give inputs that hold the plant' in said
+
+
+@pytest.mark.parametrize('force, dynamics, told', [
+    # a gain that is too weak: one pole stays at 0.5 1/s
+    ('2*sin(1.3*t) - 8.5*angle - 0.5*speed', '9*angle + force',
+     'simulation.inputs: y1: runs away: pendulum is not held by inputs that read its states; '
+     'give inputs that hold the plant'),
+    ('exp(0.5*t)', '-9*angle - speed + force',
+     'simulation.inputs: y1: runs away: pendulum follows inputs that grow; give inputs'),
+    ('exp(1e3*t)', '-9*angle - speed + force', 'simulation.inputs.force: is 5.18e+21 at'),
+    ('-30*angle - 8*speed + exp(1e3*t)', '9*angle + force',
+     'simulation.inputs.force: is 5.18e+21 at'),
+])
+def test_a_truth_that_runs_away_is_refused(pendulum, tmp_path, capsys, force, dynamics, told):
+    plant = {**PENDULUM, 'dynamics': {'angle': 'speed', 'speed': dynamics}}
+    (tmp_path / 'plant.yaml').write_text(yaml.safe_dump(plant, sort_keys=False))
+    (tmp_path / 'demo.yaml').write_text(yaml.safe_dump({'simulation': {'inputs': {
+        'force': force}}}))
+    assert main(['--only', 'freeze,handover', *pendulum]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1 and said.startswith(
+        f'fault_injection: {tmp_path / "demo.yaml"}: {told}')
 
 
 def test_the_cases_are_listed(capsys):

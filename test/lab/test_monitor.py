@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from vsensor_ros.command.monitor import main
 from vsensor_ros.lab import monitor
 from vsensor_ros.lab.domain import reserved_domain
+from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.lab.screen import changes, duration, read_status, screen
 
 WORDS = 'virtual (isolated), from y3, voltage, good to 0.02 rad/s; repair y2'
@@ -210,7 +211,8 @@ def test_on_a_terminal_it_is_drawn_until_interrupted(replacer):
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack('HHHH', 24, 80, 0, 0))
     process = subprocess.Popen(
         [sys.executable, '-m', 'vsensor_ros.command.monitor', '--node', '/arm/replacer'],
-        stdin=slave, stdout=slave, stderr=slave, env={**os.environ, 'TERM': 'xterm'})
+        stdin=slave, stdout=slave, stderr=slave, env={**os.environ, 'TERM': 'xterm'},
+        preexec_fn=die_with_parent)
     os.close(slave)
     drawn = b''
     while b'{y2,y3} exact' not in drawn:
@@ -235,7 +237,7 @@ def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
         if '--node' in said:
             break
     assert said == (
-        'no replacer on /replacer/status: is it running? ros2 node list; or is it --node '
+        'monitor: no replacer on /replacer/status: is it running? ros2 node list; or is it --node '
         '/arm/replacer?\n')
 
 
@@ -243,7 +245,7 @@ def test_where_nothing_is_heard_it_says_why(replacer, capsys, monkeypatch):
 def test_a_bad_name_is_refused_in_one_line(name, capsys):
     assert main(['--once', '--node', name]) == 2
     said = capsys.readouterr().err
-    assert '--node' in said and said.count('\n') == 1
+    assert said.startswith('monitor: --node: ') and said.count('\n') == 1
 
 
 def test_without_rich_one_line_says_how_to_install_it(monkeypatch, capsys):

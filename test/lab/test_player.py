@@ -134,7 +134,8 @@ def test_what_is_no_wiring_is_refused(tmp_path, text):
 def test_a_column_without_a_topic_is_refused(tmp_path, capsys):
     (tmp_path / 'table.csv').write_text('time,y9\n0,1\n')
     assert main([str(tmp_path / 'table.csv'), str(CONFIG / 'servo' / 'replacer.yaml')]) == 2
-    assert 'y9: has no topic' in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith(f'player: {tmp_path / "table.csv"}: y9: has no topic')
 
 
 def test_wrong_arguments_for_ros_are_refused_in_one_line(tmp_path, capsys):

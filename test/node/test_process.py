@@ -11,6 +11,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Range
 
+from vsensor_ros.lab.process import die_with_parent
+
 COMMAND = [sys.executable, '-m', 'vsensor_ros.command.replacer']
 TEXT = """
 replacer:
@@ -41,7 +43,8 @@ def run(*arguments, **environment):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
     process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               preexec_fn=die_with_parent)
     context = Context()
     context.init()
     node = Node('rig', context=context)
@@ -79,7 +82,8 @@ def test_a_signal_while_starting(parameter_file, number):
               'replacer.prepare_environment = lambda: (print(flush=True), first()); '
               f'sys.exit(replacer.main(["--ros-args", "--params-file", "{parameter_file}"]))')
     process = subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, text=True)
+                               stderr=subprocess.PIPE, text=True,
+                               preexec_fn=die_with_parent)
     process.stdout.readline()
     process.send_signal(number)
     _, err = process.communicate(timeout=120)
@@ -128,7 +132,8 @@ def test_no_home(parameter_file, tmp_path):
                    if k not in ('AMENT_PREFIX_PATH', 'ROS_LOG_DIR', 'ROS_HOME')}
     environment.update(HOME='/nonexistent', TMPDIR=str(tmp_path))
     process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
-                               env=environment, stderr=subprocess.PIPE, text=True)
+                               env=environment, stderr=subprocess.PIPE, text=True,
+                               preexec_fn=die_with_parent)
     seen = ''
     while 'virtual sensors of' not in seen:
         line = process.stderr.readline()
@@ -144,7 +149,8 @@ def test_it_waits_for_a_lifecycle_manager_and_ends_meanwhile(parameter_file):
     parameter_file.write_text(parameter_file.read_text().replace(
         'rate: 100', 'rate: 100\n    autostart: false'))
     process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
-                               stderr=subprocess.PIPE, text=True)
+                               stderr=subprocess.PIPE, text=True,
+                               preexec_fn=die_with_parent)
     context = Context()
     context.init()
     node = Node('rig', context=context)

@@ -8,6 +8,7 @@ onto a topic, with no other file of the package changed.
 from dataclasses import dataclass, replace
 import json
 import math
+from pathlib import Path
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,13 +20,18 @@ from sensor_msgs.msg import Range
 from vsensor_ros import Design
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import Bank
+from vsensor_ros.designer import design as make_design
 from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
+from vsensor_ros.lab.injection.under_test import read_under_test
 from vsensor_ros.node.cdr import decode, Reading
 from vsensor_ros.observers.kinds import Batch, Kind, kind_named, register
+from vsensor_ros.plant import load_plant
 from vsensor_ros.reason import add_sentences, Reason
 from vsensor_ros.report.design_answer import answer
+from vsensor_ros.report.page import page
 
 MS = 1_000_000
+SERVO = Path(__file__).parents[2] / 'config' / 'servo'
 
 
 @dataclass(frozen=True)
@@ -293,6 +299,41 @@ def test_people_are_told_of_it(mixed):
     for line in ('y2 when y2 and y3 failed: can be replaced\n', 'kind              constant',
                  'found as          by looking it up'):
         assert line in text
+
+
+@pytest.fixture(name='servo')
+def _servo():
+    """Return the servo, and a design of it that has constants alone."""
+    plant = load_plant(SERVO / 'plant.yaml')
+    made = make_design(plant, [('y2',)])
+    return plant, replace(made, entries={
+        **{(BOTH.fault_set, name): BOTH for name in BOTH.outputs},
+        (('y3',), 'y3'): Constant('y3', ('y3',), {'y3': 7.0}, 0.0, 1e9)})
+
+
+def test_the_report_has_a_section_of_it(servo):
+    plant, made = servo
+    text = page(plant, made)
+    assert text.count('<section') == 3
+    assert text.count('<tr><th>kind</th><td>constant</td></tr>') == 3
+    assert text.count('<tr><th>found as</th><td>by looking it up</td></tr>') == 3
+
+
+def test_faults_can_be_injected_into_a_replacer_that_has_it(servo, tmp_path):
+    servo[1].save(tmp_path / 'servo.design.json')
+    parameters = tmp_path / 'replacer.yaml'
+    parameters.write_text((SERVO / 'replacer.yaml').read_text().replace(
+        'servo.design.json', str(tmp_path / 'servo.design.json')))
+    (tmp_path / 'demo.yaml').write_text('{failed_sensor: y3, simulation: {}}')
+    tested = read_under_test(SERVO / 'plant.yaml', parameters, tmp_path / 'demo.yaml', tmp_path,
+                             [])
+    assert tested.design_file == tmp_path / 'servo.design.json'
+    assert (tested.target, tested.virtual.kind, tested.virtual.reads) == ('y3', 'constant', ())
+    assert [tested.serves(faulty, 'y3') for faulty in (
+        ('y2',), ('y3',), ('y2', 'y3'), ('y1', 'y3'))] == ['real', 'virtual', 'virtual', 'none']
+    (tmp_path / 'demo.yaml').write_text('{failed_sensor: y1, simulation: {}}')
+    with pytest.raises(BadInput, match='y1 cannot be replaced; let one of y3 fail'):
+        read_under_test(SERVO / 'plant.yaml', parameters, tmp_path / 'demo.yaml', tmp_path, [])
 
 
 def test_a_name_is_taken_once():

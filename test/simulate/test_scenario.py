@@ -153,3 +153,23 @@ def test_expressions_outside_the_language_are_refused(tmp_path, text):
 def test_what_is_no_scenario_is_refused(tmp_path, text):
     with pytest.raises(BadInput, match=r'demo\.yaml'):
         load(tmp_path, text)
+
+
+@pytest.mark.parametrize('fault, told', [
+    ({'kind': 'bias', 'start': 1.0}, r'faults\[0\].size: is missing; add it'),
+    ({'kind': 'spikes', 'start': 1.0, 'size': 1.0}, r'faults\[0\].probability: is missing'),
+    ({'kind': 'freeze', 'start': 1.0, 'size': 2.0},
+     r'faults\[0\].size: is not known here; known are end, kind, start'),
+    ({'start': 1.0}, r'faults\[0\].kind: is not a text')])
+def test_a_fault_is_told_which_number_it_lacks_or_has_too_many(tmp_path, fault, told):
+    with pytest.raises(BadInput, match=told):
+        load(tmp_path, {**given(), 'faults': [fault]})
+
+
+@pytest.mark.parametrize('fault, row, error', [
+    ({'kind': 'spikes', 'start': 1.0, 'size': 2.0, 'probability': 1.0}, 15, 2.0),
+    ({'kind': 'drift', 'start': 1.2, 'end': 2.45, 'rate': 8.0}, 24, 8.0 * 1.2)])
+def test_each_number_of_a_fault_reaches_it(tmp_path, fault, row, error):
+    said, healthy = (load(tmp_path, {**given(), 'faults': [each]}).channels['y'].value[row]
+                     for each in (fault, {'kind': 'drop_out', 'start': 1.0}))
+    assert abs(said - healthy) == pytest.approx(error)

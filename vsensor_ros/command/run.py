@@ -36,11 +36,11 @@ def run(command: str, act: Callable[[], int], stopped: int = INTERRUPTED) -> int
               'that make sets up', file=sys.stderr)
         return 2
     except BadInput as problem:
-        print(problem, file=sys.stderr)
+        print(f'{command}: {problem}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         if stopped:
-            print('stopped', file=sys.stderr)
+            print(f'{command}: stopped', file=sys.stderr)
         return stopped
 
 

@@ -3,7 +3,7 @@ The entries of the functions of the language.
 
 Every value is finite for finite arguments of ordinary size: outside its domain a function
 is continued, never NaN, and the continuation is monotone where the function is, so that an
-observer that still converges is pulled back (the method, section 6). What no continuation
+observer that still converges is pulled back (the method, section 5). What no continuation
 can mend is overflow: products and powers beyond 1e308 give inf as everywhere in numpy.
 """
 
@@ -154,8 +154,7 @@ _ALL = (
         'sign', ('x',), '-1, 0 or 1; a term that is a sign alone is dry friction: at 0, whatever '
         'between -1 and 1 holds x there', np.sign,
         slopes=(lambda x: _kink(x == 0.0, 0.0),),
-        bounds=_sign_bounds, slope_bounds=RISING,
-        resolvent=lambda s, a: np.clip(s / a, -1.0, 1.0)),
+        bounds=_sign_bounds, slope_bounds=RISING, set_valued=True),
     Function(
         'sqrt', ('x',), 'square root', odd_root,
         slopes=(lambda x: 0.5 / abs(x) ** 0.5 if x else INFINITY,),

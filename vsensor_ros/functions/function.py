@@ -42,27 +42,16 @@ class Function:
     kept_inside: Callable[..., bool] = lambda *numbers: False
     domain: str = 'all numbers'
     continuation: str = ''  # outside of the domain
-    # A function that jumps at 0 takes any value of the jump there (dry friction at rest). The
-    # resolvent (s, a) solves y in f(s - a y) for y, elementwise, a > 0: the value with which the
-    # function, pushing back its own argument, comes to rest. None: it does not jump. The step of
-    # the bank and the simulation are written for the one such function there is, sign.
-    resolvent: Callable[[Any, Any], Any] | None = None
+    # whether at a jump it takes any value of the jump, as dry friction does at rest. The step of
+    # the bank and the simulation are written for the one such function there is, sign; a term
+    # of another is refused
+    set_valued: bool = False
     precedence: int | None = None  # of an operator, the larger binds tighter; None: f(x, ..)
 
     @property
     def arity(self) -> int:
         """Number of arguments."""
         return len(self.arguments)
-
-    @property
-    def set_valued(self) -> bool:
-        """Whether it takes a whole interval of values at a jump."""
-        return self.resolvent is not None
-
-    @property
-    def monotone(self) -> bool | None:
-        """Whether it never falls along its first argument; None when that is not known."""
-        return None if self.slope_bounds is None else self.slope_bounds[0] >= 0.0
 
     def limited(self, *numbers: float) -> bool:
         """

@@ -2,7 +2,7 @@
 The nonlinear terms of a plant: psi(w, u) = f(w, u) - slope @ w, with w = G x.
 
 f is written in the expression language over w1..wr and the plant's input names; its
-functions come from the catalogue, continued outside their domains (the method, section 6).
+functions come from the catalogue, continued outside their domains (the method, section 5).
 The slope is the formal addend that was moved into the matrix A (the method, 3.2).
 """
 
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.catalogue import CATALOGUE
 from vsensor_ros.functions.expression import (
     Apply,
@@ -33,8 +34,10 @@ from vsensor_ros.functions.function import Function
 
 __all__ = [
     'CATALOGUE', 'Function', 'NonlinearTerm', 'argument_names', 'check_term',
-    'compile_outside_domain', 'compile_term', 'evaluate', 'make_term', 'monotone',
-    'outside_domain', 'set_valued', 'slope_at', 'slope_bounds']
+    'compile_outside_domain', 'compile_term', 'evaluate', 'make_term', 'outside_domain',
+    'set_valued', 'slope_at', 'slope_bounds']
+
+SIGN = 'sign'  # the one set-valued function that step and simulation can hold at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +59,16 @@ def argument_names(r: int) -> tuple[str, ...]:
 
 def check_term(term: NonlinearTerm, inputs: Sequence[str], where: object = 'nonlinearity',
                key: str = '') -> None:
-    """Raise BadInput unless f is in the language, over w1..wr and the inputs only."""
+    """
+    Raise BadInput unless f is in the language, over w1..wr and the inputs only.
+
+    Also where f is a set-valued function other than sign: nothing here can hold it at rest.
+    """
     parse(term.text, where, key, known=(*argument_names(len(term.slope)), *inputs))
+    function = _single(term)
+    if function is not None and function.set_valued and function.name != SIGN:
+        raise BadInput(where, key, f'{function.name} is set-valued, which only {SIGN} may be',
+                       f'write it with {SIGN}')
 
 
 def make_term(text: str | float, r: int, inputs: Sequence[str], where: object = 'nonlinearity',
@@ -69,7 +80,9 @@ def make_term(text: str | float, r: int, inputs: Sequence[str], where: object = 
     """
     node = fold(parse(text, where, key, known=(*argument_names(r), *inputs)), where, key)
     text = to_text(node)
-    return NonlinearTerm(name or text, text, np.zeros(r))
+    term = NonlinearTerm(name or text, text, np.zeros(r))
+    check_term(term, inputs, where, key)
+    return term
 
 
 @lru_cache(maxsize=4096)
@@ -154,7 +167,7 @@ def _single(term: NonlinearTerm) -> Function | None:
 
 
 def set_valued(term: NonlinearTerm) -> bool:
-    """Whether f is exactly sign(w1) of one argument: the case with a resolvent."""
+    """Whether f is exactly sign(w1) of one argument: dry friction, which can hold at rest."""
     function = _single(term)
     return function is not None and function.set_valued
 
@@ -170,9 +183,3 @@ def slope_bounds(term: NonlinearTerm) -> tuple[float, float] | None:
         return None
     a, b = function.slope_bounds
     return a - float(term.slope[0]), b - float(term.slope[0])
-
-
-def monotone(term: NonlinearTerm) -> bool | None:
-    """Whether psi never decreases; None when slope_bounds does not know."""
-    bounds = slope_bounds(term)
-    return None if bounds is None else bounds[0] >= 0.0

@@ -205,7 +205,7 @@ def show_all(systems: Sequence[str], output: Path) -> int:
     began = time.monotonic()
     config = config_folder()
     if config is None:
-        raise BadInput('demo', 'config', 'is not found',
+        raise BadInput('', 'config', 'is not found',
                        'run in the repository or install the package')
     known = sorted(path.parent.name for path in config.glob('*/demo.yaml'))
     for name in systems:

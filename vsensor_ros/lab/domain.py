@@ -56,7 +56,7 @@ def open_nodes(*names: str, domain: int | None = None,
             context.init(args=['--ros-args', *ros_args], domain_id=domain)
             nodes += [Node(name, context=context) for name in names]
         except RuntimeError as error:  # what rcl raises
-            raise BadInput(names[0], 'arguments', str(error).partition(', at ')[0],
+            raise BadInput('', 'arguments', str(error).partition(', at ')[0],
                            'correct the arguments after --ros-args') from None
         yield nodes
     finally:

@@ -63,7 +63,7 @@ class Listener:
             expand_topic_name(self.topic, 'monitor', '/')
             validate_full_topic_name(self.topic)
         except (ValueError, NameValidationException):
-            raise BadInput('monitor', '--node', f'{name!r} is no name of a node',
+            raise BadInput('', '--node', f'{name!r} is no name of a node',
                            'give one of `ros2 node list`') from None
         self.node = node
         self.told: StatusMessage | None = None
@@ -102,7 +102,7 @@ def _once(listener: Listener, plain: bool) -> int:
     """Show the first status that comes; return 1 when none does."""
     while listener.told is None:
         if listener.age > PATIENCE:
-            print(listener.why_nothing(), file=sys.stderr)
+            print(f'monitor: {listener.why_nothing()}', file=sys.stderr)
             return 1
         listener.look()
     if plain:

@@ -90,6 +90,6 @@ def play_table(table: Path, params_file: Path, speed: float, ros_args: Sequence[
     with open_nodes('player', ros_args=parameters.ros_args) as (node,):
         late = play(node, channels, ports, speed, parameters.simulated)
     if late > LATE:
-        print(f'{late:.2f} s late at worst: this machine is too busy', file=sys.stderr)
+        print(f'player: {late:.2f} s late at worst: this machine is too busy', file=sys.stderr)
         return LATE_CODE
     return 0

@@ -40,7 +40,7 @@ class Process:
         with open(log, 'ab') as file:
             self.popen = subprocess.Popen(
                 [*prefix, sys.executable, '-m', *arguments], env=environment,
-                stdin=subprocess.DEVNULL, stdout=file, stderr=file, preexec_fn=_die_with_parent)
+                stdin=subprocess.DEVNULL, stdout=file, stderr=file, preexec_fn=die_with_parent)
 
     @property
     def alive(self) -> bool:
@@ -96,7 +96,7 @@ class Process:
         self.end()
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have Linux kill this process when its parent is killed and cannot do it any more."""
     if _libc:
         _libc.prctl(1, signal.SIGKILL)

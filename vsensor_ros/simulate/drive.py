@@ -19,10 +19,11 @@ from vsensor_ros.simulate.simulate import readings, simulate
 Array = NDArray[np.float64]
 Law = Callable[[Any, Array], Array]     # times (T,), states (n, T) or (n, 1) -> commands (T, m)
 
-HOLD = ('give inputs that hold it, such as `force: -30*angle - 8*rate`: they may read t and '
-        'the states')
+HOLD = ('give inputs that hold the plant, such as `force: -30*angle - 8*rate`: they may read t '
+        'and the states')
 DRIVE = frozenset({'duration', 'sensor_rate', 'command_rate', 'inputs', 'initial', 'disturbances',
                    'noise'})  # what may stand in `simulation`
+LARGEST = 1e12  # no machine is commanded more, in any unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Drive:
                 if self.closed:
                     x, u = self._closed_loop(plant, t, first, rho)
                 else:
-                    u = self.law(steps / self.command_rate, np.empty((0, 1)))
+                    u = self._commands(plant, steps / self.command_rate, np.empty((0, 1)))
                     x = simulate(plant, t, u, rho, self.initial)
                 y = readings(plant, t, x, u, rho)
         except ArithmeticError as error:
@@ -69,6 +70,17 @@ class Drive:
         return Trajectory(t, dict(zip(plant.sensors, y.T)),
                    {n: Recorded.of(t[first], v[first]) for n, v in zip(plant.inputs, u.T)})
 
+    def _commands(self, plant: Plant, t: Array, x: Array) -> Array:
+        """Return the commands (T, m) that the law gives; raise BadInput if one has no bound."""
+        u = self.law(t, x)
+        beyond = np.argwhere(~(np.abs(u) <= LARGEST))
+        if len(beyond):
+            row, i = beyond[0]
+            raise BadInput(self.where, f'simulation.inputs.{plant.inputs[i]}',
+                           f'is {u[row, i]:.3g} at t = {t[row]:g} s',
+                           HOLD if self.closed else 'give one that stays within bounds')
+        return u
+
     def _closed_loop(self, plant: Plant, t: Array, first: NDArray[np.intp], rho: Any,
                      ) -> tuple[Array, Array]:
         """Return states (T, n) and commands (T, m), each command as the states are then."""
@@ -76,7 +88,7 @@ class Drive:
         x = np.empty((len(t), len(plant.states)))
         x[0] = self.initial
         for begin, end in zip(first, [*first[1:], len(t) - 1]):
-            u[begin:end + 1] = self.law(t[begin:begin + 1], x[begin][:, None])
+            u[begin:end + 1] = self._commands(plant, t[begin:begin + 1], x[begin][:, None])
             held = rho if callable(rho) else rho[begin:end + 1]
             if begin < end:
                 x[begin:end + 1] = simulate(plant, t[begin:end + 1], u[begin:end + 1], held,

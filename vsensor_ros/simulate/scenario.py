@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -77,16 +78,13 @@ def load_scenario(path: Path, plant: Plant) -> Scenario:
     marks = []
     for number, item in enumerate(given.list('faults')):
         fault = given.inner(f'faults[{number}]', item)
-        fault.expect({'kind', 'start'}, {'end', 'size', 'rate', 'probability'})
         kind = fault.text('kind')
         if kind not in FAULTS:
             raise fault.bad('kind', f'there is no fault {kind}',
                             f'name one of {", ".join(FAULTS)}')
+        fault.expect({'kind', 'start', *_sizes_of(kind)}, {'end'})
         numbers = {key: fault.number(key) for key in fault.content if key != 'kind'}
-        try:
-            channels[failed] = FAULTS[kind](channels[failed], **numbers)
-        except TypeError as error:
-            raise fault.bad(kind, str(error).split(') ')[-1], 'see simulate/fault.py') from None
+        channels[failed] = FAULTS[kind](channels[failed], **numbers)
         marks.append((fault.number('start'), kind))
     if not marks:
         raise given.bad('faults', 'is empty', 'give at least one')
@@ -112,6 +110,12 @@ def load_scenario(path: Path, plant: Plant) -> Scenario:
     if scenario.speed <= 0:
         raise given.bad('speed', 'is not positive', 'write 1 for real time')
     return scenario
+
+
+def _sizes_of(kind: str) -> list[str]:
+    """Return the names of the numbers that a kind of fault needs, besides its times."""
+    return [p.name for p in signature(FAULTS[kind]).parameters.values()
+            if p.kind is p.KEYWORD_ONLY and p.default is p.empty]
 
 
 def _simulated(given: Section, plant: Plant) -> tuple[dict[str, Recorded], dict[str, Recorded]]:

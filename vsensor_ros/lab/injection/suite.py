@@ -57,7 +57,7 @@ def choose(only: str, quick: bool) -> list[Case]:
     known = [case.name for case in ALL]
     for name in names:
         if name not in known:
-            raise BadInput('fault_injection', '--only', f'there is no case {name}',
+            raise BadInput('', '--only', f'there is no case {name}',
                            f'choose from {", ".join(known)}')
     return [case for case in ALL if (not names or case.name in names)
             and (not quick or case.name in QUICK)]
@@ -173,7 +173,7 @@ def _not_there(context: CaseContext) -> str:
         context.until(lambda: all(d.heard for d in machine.drivers) and machine.statuses > 0,
                       STARTED, 'a replacer that hears all topics and tells its status')
     if machine.clock is not None and machine.node.count_publishers('/clock') > 1:
-        raise BadInput('fault_injection', '/clock', 'somebody else publishes it',
+        raise BadInput('', '/clock', 'somebody else publishes it',
                        'end that, or try a replacer without use_sim_time')
     if context.process is not None and not context.process.alive:
         return f'the replacer has died: {context.process.last_words()}'

@@ -11,7 +11,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design as make_design
 from vsensor_ros.lab.parameter_file import Parameters, read_parameters
 from vsensor_ros.lab.wiring import Wiring, wiring_of
-from vsensor_ros.observers import Design, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Refusal
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.simulate.section import Section
 
@@ -41,10 +41,10 @@ class UnderTest:
     work: Path                      # an existing folder, for logs
 
     @property
-    def virtual(self) -> VirtualSensor:
-        """Return the virtual sensor of the target."""
+    def virtual(self) -> Entry:
+        """Return the virtual sensor of the target, of whatever kind."""
         found = self.design[(self.target,), self.target]
-        assert isinstance(found, VirtualSensor)
+        assert not isinstance(found, Refusal)
         return found
 
     @property
@@ -57,7 +57,7 @@ class UnderTest:
         if name not in faulty:
             return 'real'
         return 'virtual' if any(
-            v.channel == name and set(v.fault_set) >= set(faulty)
+            name in v.outputs and set(v.fault_set) >= set(faulty)
             for v in self.design.virtual_sensors) else 'none'
 
     def arguments(self, simulated: bool) -> list[str]:
@@ -100,7 +100,7 @@ def read_under_test(plant_file: Path, params_file: Path, scenario: Path | None, 
 def _target(design: Design, plant: Plant, scenario: Path | None) -> str:
     """Return the scenario's failed sensor, else the first that can be replaced."""
     replaceable = [s for s in plant.sensors
-                   if isinstance(design.entries.get(((s,), s)), VirtualSensor)]
+                   if any(v.fault_set == (s,) and s in v.outputs for v in design.virtual_sensors)]
     if not replaceable:
         raise BadInput(plant.name, 'sensors', 'none of them can be replaced',
                        'nothing can be tried; see what the designer says')
