@@ -12,16 +12,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
 import yaml
 
 from vsensor_ros import design
 from vsensor_ros.command.fault_injection import main
 from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.injection import suite
+from vsensor_ros.lab.injection.message_cases import _thousand_of
 from vsensor_ros.lab.injection.suite import ALL, CaseResult, QUICK, TRIES
 from vsensor_ros.lab.injection.truth import compute_truth
 from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
 from vsensor_ros.lab.process import die_with_parent
+from vsensor_ros.node.accessor import get_stamp, put_stamp
 from vsensor_ros.plant import load_plant
 
 SERVO = Path(__file__).parents[2] / 'config' / 'servo'
@@ -282,6 +286,33 @@ def test_wrong_values_are_seen_unless_nobody_could_know(truth, value, words):
     assert wrong.startswith('y2: 10 ') and words in wrong
     heard.blind['y2'] = [(100.99, 101.1)]
     assert judged(heard, truth) == []
+
+
+def test_what_was_played_late_could_not_be_known_before(truth):
+    heard = heard_of(truth)
+    [k] = np.flatnonzero(np.isclose(truth.time, 2.0))
+    speed = np.gradient(truth.value['y2'], truth.time)[k]
+    put(heard, [k], lambda v: float(truth.at('y2', 2.0 - 0.2)))
+    bar = 0.05 * truth.span['y2']
+    assert abs(0.2 * speed) > 1.5 * bar     # else it would be no error
+    assert len(judged(heard, truth)) == 1
+    heard.late = 0.19
+    assert judged(heard, truth) == []
+    put(heard, [k], lambda v: float(truth.at('y2', 2.0)) + 0.2 * speed)    # it was never that
+    assert len(judged(heard, truth)) == 1
+
+
+def test_a_burst_is_a_thousand_messages_with_stamps_of_their_own():
+    message = JointState(name=['motor'], position=[0.5], velocity=[1.5])
+    put_stamp(message, 3_000_000_001)
+    driver = SimpleNamespace(stamped=True, garble=True)
+    burst = [deserialize_message(raw, JointState) for raw in _thousand_of(driver)(message)]
+    assert driver.garble is None and len(burst) == 1000
+    stamps = [get_stamp(each) for each in burst]
+    assert stamps == sorted(set(stamps)) and stamps[-1] == 3_000_000_001
+    assert stamps[-1] - stamps[0] < 10_000_000   # within a period of 100 Hz
+    assert {(each.position[0], each.velocity[0], *each.name) for each in burst} == {
+        (0.5, 1.5, 'motor')}
 
 
 def test_nan_and_silence_are_right_without_a_source(truth):

@@ -91,7 +91,7 @@ class CaseContext:
             with suppress(Exhausted):
                 self.play(STATUS_PERIOD + 0.1)
         heard = self.machine.heard
-        heard.ended = time.monotonic()
+        heard.ended, heard.late = time.monotonic(), min(self.machine.late, LATE)
         self.busy = self._why_busy(heard.ended - heard.begun)
         for name in list(self._since):
             self._known(name, heard.ended)

@@ -63,6 +63,7 @@ class Evidence:
     # output topics on which the replacer has spoken itself; till then it passes on what comes
     spoken: set[str] = field(default_factory=set)
     ended: float = math.nan     # s, monotonic
+    late: float = 0.0           # s by which readings were played late, at worst
 
 
 def judge(heard: Evidence, truth: Truth, frames: Mapping[str, tuple[str, tuple[str, ...]]],
@@ -158,9 +159,10 @@ def _values(name: str, outs: Sequence[Out], heard: Evidence, truth: Truth, none:
     bars = _bars(name, [out for out, _ in numbers], heard, truth)
     worst, bad = ('', 0.0), []
     for (out, value), bar in zip(numbers, bars):
-        around = (out.time,) if out.stamp is not None else np.linspace(
-            out.time - untimed, out.time + untimed, 9)
-        error = float(np.min(np.abs(value - truth.at(name, np.asarray(around)))))
+        # what was played late could not be known before
+        around = np.linspace(out.time - heard.late, out.time, 9) if out.stamp is not None \
+            else np.linspace(out.time - untimed, out.time + untimed, 9)
+        error = float(np.min(np.abs(value - truth.at(name, around))))
         if error > bar:
             bad.append(out.arrival - heard.begun)
             if error / bar > worst[1]:
