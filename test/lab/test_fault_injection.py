@@ -158,6 +158,7 @@ def rewrite(arguments, change):
                                    sort_keys=False))
 
 
+@pytest.mark.slow
 def test_a_parameter_file_for_all_nodes_and_simulated_time(quick, capsys):
     rewrite(quick, lambda own: {'/**': {'ros__parameters': {
         **own['ros__parameters'], 'use_sim_time': True}}})
@@ -165,6 +166,7 @@ def test_a_parameter_file_for_all_nodes_and_simulated_time(quick, capsys):
     assert [(name, r['outcome']) for name, r in results_of(quick).items()] == [('start', 'PASS')]
 
 
+@pytest.mark.slow
 def test_a_parameter_file_with_a_namespace_and_a_clock_that_stands_still(quick, capsys):
     rewrite(quick, lambda own: {'robot': {'replacer': own}})
     assert main(['--only', 'paused_clock', *quick]) == 0, capsys.readouterr().out
@@ -187,6 +189,7 @@ def pendulum(tmp_path):
             str(tmp_path / 'replacer.yaml'), '--report', str(tmp_path / 'report.json')]
 
 
+@pytest.mark.slow
 def test_an_unstable_plant_that_its_commands_hold_is_judged_fairly(pendulum, capsys):
     assert main(['--only', 'bias', *pendulum]) == 0, capsys.readouterr().out
     assert results_of(pendulum)['bias']['outcome'] == 'PASS'

@@ -9,7 +9,7 @@ def phi_functions(N: np.ndarray, h: float) -> tuple[np.ndarray, ...]:
     Return ``exp(N h), phi1(N h), phi2(N h), phi3(N h)``, each of the shape (..., k, k) of N.
 
     ``phi_j(M) = sum_i M^i / (i + j)!``, so that ``h phi1`` integrates a constant and ``h phi2``
-    a ramp that reaches 1 at the time h [s] (method, section 6). One exponential of an augmented
+    a ramp that reaches 1 at the time h [s] (method, section 5). One exponential of an augmented
     matrix gives them all, also where N is singular.
     """
     k = N.shape[-1]

@@ -41,7 +41,7 @@ def make_step(
     Discrete plants: the map itself, with the readings at the beginning of the step and the mean
     command. Continuous plants: exact in the linear part for readings that are linear in time,
     fourth-order exponential Runge-Kutta (Cox and Matthews 2002, ETDRK4) for smooth terms, the
-    resolvent for ``sign(w1)`` where the sign of its coefficient has one (method, section 6).
+    resolvent for ``sign(w1)`` where the sign of its coefficient has one (method, section 5).
     """
     if virtual_sensors[0].sample_time is not None:
         return _Map(virtual_sensors, sensors)
