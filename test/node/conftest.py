@@ -255,8 +255,9 @@ class Rig:
     @property
     def counts(self):
         """How often what was not used or not sent on, by sensor and reason in words."""
-        return Counter({(name, str(why)): n for (name, why), n in
-                        self.replacer.engine._intake.counts().items()})
+        with self.replacer.lock:
+            counts = self.replacer.engine._intake.counts()
+        return Counter({(name, str(why)): n for (name, why), n in counts.items()})
 
     def why(self, name):
         """Return in words why a channel is what it is."""
