@@ -43,6 +43,7 @@ from vsensor_ros.node.status import Reporter
 
 PATIENCE = 5.0  # s that the loop may take to come to its end
 IDLE = 0.05  # s between two looks whether there is something to run
+LONGEST = 1.0  # s that the executor waits for something to do
 AGAIN = 60.0  # s between two lines on the same failure of a callback
 SUCCESS, FAILURE, ERROR = (TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE,
                            TransitionCallbackReturn.ERROR)
@@ -214,17 +215,19 @@ class ManagedNode(LifecycleNode):
 
 
 def spin(executor: SingleThreadedExecutor, node: ManagedNode, ending: Event) -> None:
-    """Serve callbacks until the executor is shut down; what one raises ends only that one."""
+    """
+    Serve callbacks until it is ending; what one raises ends only that one.
+
+    No wait is without a bound, and the executor is shut down only when this has returned: rclpy
+    destroys with it what would wake it, and who is about to wait then would never be woken.
+    """
     last, at = '', 0.0
-    while True:
+    while not ending.is_set():
         try:
-            executor.spin()
-            return
+            executor.spin_once(LONGEST)
         except ExternalShutdownException:
             return
         except Exception:
-            if ending.is_set():
-                return  # an executor that is shut down in the wrong moment trips over itself
             text = traceback.format_exc()
             if text != last or time.monotonic() > at + AGAIN:
                 node.get_logger().error(text)
@@ -276,8 +279,9 @@ def run_node(node: ManagedNode, stop: Event) -> int:
         node.serve(stop)
     finally:
         ending.set()
-        executor.shutdown()
+        executor.wake()
         thread.join()
+        executor.shutdown()
         if not node.ended:
             node.trigger_shutdown()
         node.destroy_node()
