@@ -62,8 +62,8 @@ def test_history_does_not_overrule_what_is_newer(rig, parameters):
     assert reported(r, 'y2')
     # what only the transient-local subscription hears is told as if it came now, once more
     reports = r.replacer.reports
-    for sent, what in ((reports._said['y1'] - 1, statuses(y1=2, y3=2)),
-                       (reports._said['y1'] + 1, statuses(y2=0))):
+    for sent, what in ((reports._said['y1', 'y1'] - 1, statuses(y1=2, y3=2)),
+                       (reports._said['y1', 'y1'] + 1, statuses(y2=0))):
         reports.apply(sent, r.raw(what), r.now, late=True)
         assert set(reports.report().faulty) == (
             {'y2', 'y3'} if what.status[0].name == 'y1' else {'y3'})

@@ -161,6 +161,10 @@ class Engine:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
         self._intake.count(name, why)
 
+    def leave_out(self, name: str) -> None:
+        """Count a message for a channel that came from a publisher who was not chosen."""
+        self._intake.count(name, Reason('not chosen'), quietly=True)
+
     # ------------------------------------------------------------------------------- requests
 
     def isolate(self, report: IsolationReport) -> Messages:
