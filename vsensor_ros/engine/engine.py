@@ -389,8 +389,8 @@ class Engine:
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or self._switch.reserve(name, self._stand_in.ready,
-                                                      self._stand_in.why_not))
+            stream.never_seen or self._switch.reserve(
+                name, lasting, self._stand_in.ready, self._stand_in.why_not))
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
