@@ -123,7 +123,8 @@ def test_an_entry_that_cannot_be_used_is_refused(entries, problem, mend):
 
 @pytest.mark.parametrize('name, meant', [
     ('isolator: y2', 'y2'), ('/robot/Y3', 'y3'), ('my y1 here', 'y1'), ('tank: y22', 'y2'),
-    ('isolator: y_1', 'y1'), ('limb[3]: y3', 'y3'), ('knee', None), ('', None), ('y' * 10**6, None)])
+    ('isolator: y_1', 'y1'), ('limb[3]: y3', 'y3'), ('knee', None), ('', None),
+    ('y' * 10**6, None)])
 def test_a_stranger_is_told_with_the_sensor_that_was_meant(name, meant):
     told = NAMES.tell(name)
     assert NAMES.nearest(name) == meant and 'is not a sensor' in told and len(told) < 600

@@ -233,7 +233,7 @@ class Machine(RuleBasedStateMachine):
             assert len(d.fault_set) == min(map(len, may))
 
     def check_reserve(self, s, switch):
-        """What is told beforehand is what would happen."""
+        """Compare what is told beforehand with what would happen."""
         would = self.look(switch.isolate(switch.reported | {s}, self.now)).decisions[s]
         lack = switch.reserve(s, self.now, self.is_ready, self.why_not)
         assert (lack is None) == (would.source is Source.VIRTUAL)

@@ -35,8 +35,8 @@ from vsensor_ros.node.graph import Complaint, complaints, ends_of, publishers, s
 from vsensor_ros.node.pace import Health
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
-from vsensor_ros.node.reports import MOST_STRANGERS
-from vsensor_ros.node.reserve import Chance, chance, origins_of
+from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
+from vsensor_ros.node.reserve import Chance, chance, origins_of, without_reserve
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes
@@ -88,7 +88,6 @@ class Reporter:
         self._told: set[Complaint] = set()
         self._lately = Lately()
         self._lacking: dict[str, float] = {}  # by channel: since when it has no reserve, in s
-        self._known_lacks: set[str] = set()  # channels of which it was said that they have none
         self._rates = Rates()
         self._spoken: dict[tuple[str, str], float] = {}  # by channel and source: when logged
         self._logged: dict[str, str] = {}  # by channel: the source logged last
@@ -145,7 +144,7 @@ class Reporter:
                 'starting' if self.replacer.start.waits else 'active'
         channels = engine.channels
         rates = self._rates.look({c.name: c.readings for c in channels}, now)
-        self._look_at_reserves(channels, now)
+        self._note_reserves(channels if state == 'active' else (), now)
         scene = self._scene(engine, now)
         sharing = defaultdict(set)
         for channel in channels:
@@ -167,8 +166,9 @@ class Reporter:
             [*((prefix + c.name, r, channel_facts(c, scene, rates.get(c.name, math.nan)))
                for c, r in told),
              (prefix + LOOP, loop, pace)], stamp))
-        for told_now in reports:
+        for channel, told_now in told:
             self._log(told_now, now)
+            self._log_reserve(channel, scene, now)
 
     def _scene(self, engine: EngineState, now: float) -> Scene:
         settings, channels = self.replacer.settings, engine.channels
@@ -179,19 +179,13 @@ class Reporter:
             frozenset(name for name, since in self._lacking.items() if now - since >= GRACE),
             self._origins)
 
-    def _look_at_reserves(self, channels: Iterable[ChannelState], now: float) -> None:
-        """Note who lacks a reserve that it should have; of who can have none say so once."""
-        for channel in channels if self.active else ():
-            hope = chance(channel.reserve)
-            if hope is Chance.MEND and channel.source == 'real':
+    def _note_reserves(self, channels: Iterable[ChannelState], now: float) -> None:
+        """Note since when real channels lack a reserve that they should have."""
+        for channel in channels:
+            if channel.source == 'real' and chance(channel.reserve) is Chance.MEND:
                 self._lacking.setdefault(channel.name, now)
             else:
                 self._lacking.pop(channel.name, None)
-            if hope is Chance.NEVER and channel.name not in self._known_lacks \
-                    and channel.source == 'real':
-                self._known_lacks.add(channel.name)
-                self.node.get_logger().info(
-                    f'{channel.name}: cannot be replaced by this design ({channel.reserve})')
 
     def _about(self, name: str | None) -> list[str]:
         """Return what was found on the graph about a channel; None: about no channel."""
@@ -212,6 +206,19 @@ class Reporter:
         elif report.source == 'virtual' or (report.source == 'silent' and before):
             log.warning(line)
         elif before:
+            log.info(line)
+
+    def _log_reserve(self, channel: ChannelState, scene: Scene, now: float) -> None:
+        """Log now and then who could not be replaced, and once who never can."""
+        name, reserve, log = channel.name, channel.reserve, self.node.get_logger()
+        if reserve is None or now < self._spoken.get((name, 'reserve'), 0.0):
+            return
+        line = f'{name}: {"; ".join(without_reserve(name, reserve, scene.origins))}'
+        if name in scene.lacking:
+            self._spoken[name, 'reserve'] = now + LATELY
+            log.warning(line)
+        elif chance(reserve) is Chance.NEVER and not scene.faulty:
+            self._spoken[name, 'reserve'] = math.inf
             log.info(line)
 
     def look_around(self) -> None:
