@@ -16,7 +16,7 @@ from managed_rig import KEPT, machines
 KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', 'offset',
         'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'recovering_s',
         'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts', 'readings_hz',
-        'not_used', 'reason'}
+        'not_used', 'reason', 'reserve', 'reserve_reason'}
 NODE_KEYS = {'state', 'rate', 'achieved', 'step_p50', 'step_p99', 'step_max', 'jitter_p99',
              'overruns', 'ticks', 'estimates', 'starts', 'faulty', 'not_used'}
 
@@ -142,6 +142,7 @@ def test_what_is_wrong_at_one_look_only_is_not_said(machine, monkeypatch):
     complaint = Complaint('/y1', 'half discovered')
     seen = [{complaint}, set(), {complaint}, {complaint}, {complaint}]
     monkeypatch.setattr(status, 'complaints', lambda *_: seen.pop(0))
+    monkeypatch.setattr(status, 'silent_isolation', lambda *_: ())
     for looks in (1, 2, 3):
         m.node.reporter.look_around()
         assert m.node.reporter.found == (), looks
