@@ -180,6 +180,10 @@ class Stream:
         heard = self._heard.get(name)
         return heard is not None and self._clock.now - heard <= self._max_age[name]
 
+    def offset(self, name: str) -> int | None:
+        """Return how far [ns] a channel's stamps are ahead of the clock; None: it is silent."""
+        return self.senders.of(name).offset if self.fresh(name) else None
+
     def why_silent(self, name: str) -> Reason | None:
         """Return why a healthy channel is not to be had live, or None when it is."""
         now, topic = self._clock.now, self.plan.source

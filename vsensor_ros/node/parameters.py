@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,19 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
-from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN
+from vsensor_ros.node.parameter_file import (
+    Block,
+    check_addressed,
+    check_files,
+    for_others,
+    ROS_OWN,
+    source_of,
+)
 from vsensor_ros.node.qos import QOS, qos_parameters
 from vsensor_ros.observers import Design
+from vsensor_ros.text_file import looked_in
 
-__all__ = ['DIAGNOSTICS', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
+__all__ = ['DIAGNOSTICS', 'Block', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
            'check_files', 'read', 'watch']
 
 LONGEST_NAME = 100  # characters of a sensor's name, which services have in theirs
@@ -48,13 +57,15 @@ class Settings:
     sensors: tuple[Sensor, ...]  # in the design's order
     commands: tuple[Command, ...]
     live: Live
+    for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
-def read(node: Node) -> Settings:
+def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
     """
     Check the node's parameters and load the design; the node stays as it is.
 
-    The node must declare parameters from its overrides by itself. Raises Refused.
+    The node must declare parameters from its overrides by itself. blocks: where these come from;
+    of what is given otherwise, none may be unknown. Raises Refused.
     """
     where = node.get_fully_qualified_name()
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
@@ -68,7 +79,8 @@ def read(node: Node) -> Settings:
     values = _check(known, given, where, problems)
     design = None
     try:
-        design = _load(values['design_file']) if 'design_file' in values else None
+        if 'design_file' in values:
+            design = _load(_find(values['design_file'], source_of('design_file', blocks, where)))
     except BadInput as problem:
         problems.append(problem)
     if design is not None:
@@ -76,12 +88,15 @@ def read(node: Node) -> Settings:
         values.update(_check(named(design), given, where, problems))
         known.update(named(design))
     endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
+    others: list[str] = []
     if design is not None:
         quality = qos_parameters(endpoints.ends(node))
         known.update(quality)
         _check({name: quality[name] for name in given if name in quality}, given, where, problems)
+        unknown = [name for name in given if name not in known]
+        others = for_others(unknown, blocks, where, {'design_file', *named(design)})
         problems.extend(_unknown(  # nor is a quality judged while topics are not known
-            [name for name in given if name not in known
+            [name for name in unknown if name not in others
              and not (problems and name.startswith(f'{QOS}.'))], known, where))
     if problems:
         raise Refused(problems)
@@ -90,7 +105,7 @@ def read(node: Node) -> Settings:
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], endpoints.sensors, endpoints.commands,
-        _live(design, values))
+        _live(design, values), tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -157,6 +172,20 @@ def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Call
         node.remove_post_set_parameters_callback(take)
         del node.set_parameters_atomically
     return unwatch
+
+
+def _find(given: str, beside: str) -> str:
+    """
+    Return the path of the design file; raise BadInput where another was meant.
+
+    Relative paths begin in the working directory. beside: the parameter file that gives it, or ''.
+    """
+    path = os.path.expanduser(given)
+    there = os.path.join(os.path.dirname(os.path.abspath(beside)), path) if beside else path
+    if not os.path.exists(path) and os.path.exists(there):
+        raise BadInput(given, 'design file', f'lies beside {beside}{looked_in(path)}',
+                       f'write design_file: {there}')
+    return path
 
 
 def _load(path: str) -> Design:

@@ -143,7 +143,8 @@ class Reporter:
                              self._about(None),
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
-        prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
+        # keeps our names off the isolation's, and those of two robots apart
+        prefix = f'{self.node.get_fully_qualified_name().lstrip("/")}: '
         told = list(zip(channels, reports))
         pace = _loop_facts(engine, health, state)
         self.status.publish(encode(
