@@ -112,7 +112,7 @@ def test_a_file_for_another_name_says_so(given, tmp_path, key, more, told, besid
 
 
 def test_a_file_for_two_robots(given, own):
-    both = {f'/{robot}/replacer': {'ros__parameters': own} for robot in ('robot1', 'robot2')}
+    both = {f'/{robot}/replacer': {'ros__parameters': dict(own)} for robot in ('robot1', 'robot2')}
     assert configure(given(both, more=IN_ROBOT))[0] == '/robot1/replacer'
     with pytest.raises(Refused, match=r'is for /robot1/replacer, /robot2/replacer, but this'):
         configure(given(both))

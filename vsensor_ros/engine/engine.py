@@ -49,7 +49,7 @@ class Engine:
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
         self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
-                                 self._offset)
+                                 self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
@@ -214,9 +214,9 @@ class Engine:
         self._switch = act(self._clock.lasting())
         return self._decide()[0]
 
-    def _offset(self, name: str) -> int | None:
-        """Return how far [ns] a sensor's stamps are ahead of the clock; None: it is silent."""
-        return next((s.offset(name) for s in self._streams if name in s.names), None)
+    def _stream_of(self, name: str) -> Stream | None:
+        """Return where a sensor is heard; None of a command."""
+        return next((stream for stream in self._streams if name in stream.names), None)
 
     # ------------------------------------------------------------------------------ decisions
 

@@ -23,14 +23,15 @@ class StandIn:
     """Speaks for failed channels, without a step where one source follows another."""
 
     def __init__(self, bank: Bank, clock: Clock, live: Live,
-                 held: dict[str, float], offset: Callable[[str], int | None]) -> None:
+                 held: dict[str, float], stream_of: Callable[[str], Stream | None]) -> None:
         """
-        Begin. held: by sensor the last value worth holding, which this keeps up to date; offset:
-        how far [ns] the stamps of a sensor are ahead of the clock, None while it is silent.
+        Begin. held: by sensor the last value worth holding, which this keeps up to date;
+        stream_of: where a sensor is heard, None of a command.
         """
         self.live = live  # changes while it runs
         self.estimates = 0  # that went out
-        self._bank, self._clock, self._held, self._offset = bank, clock, held, offset
+        self._bank, self._clock, self._held = bank, clock, held
+        self._stream_of = stream_of
 
     def ready(self, fault_set: tuple[str, ...], name: str) -> bool:
         """Tell whether a virtual sensor may serve."""
@@ -45,17 +46,21 @@ class StandIn:
         return self._told_apart(reason)
 
     def _told_apart(self, reason: Reason | None) -> Reason | None:
-        """Tell an input whose stamps are of another clock from one that is silent."""
+        """Tell an input that is silent from one whose stamps are of another clock."""
         if reason is None or reason.code not in ('input silent', 'no reading yet'):
             return reason
         name = reason.fact('name')
-        ahead = self._offset(name)
-        if ahead is None:
+        stream = self._stream_of(name)
+        silence = None if stream is None else stream.silence(name)
+        if stream is None or silence is None:
             return reason
-        seconds = -reason.fact('seconds') if reason.code == 'input silent' else ahead * 1e-9
-        if abs(seconds) < LATE:
+        ahead = stream.ahead(name) * 1e-9 if reason.code == 'no reading yet' else \
+            silence * 1e-9 - reason.fact('seconds')
+        if not stream.fresh(name):
+            return Reason.of('input silent', name=name, seconds=silence * 1e-9)
+        if abs(ahead) < LATE:
             return reason
-        return Reason.of('input of another clock', name=name, seconds=seconds,
+        return Reason.of('input of another clock', name=name, seconds=ahead,
                          clock=self._clock.now * 1e-9)
 
     def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
