@@ -19,16 +19,16 @@ EPOCH = 1e9  # s since 1970; a clock that shows less counts from something else
 
 def _another_clock(name: str, seconds: float, clock: float) -> str:
     """Say how far [s] the stamps of an input are ahead of this node's clock, which shows that."""
-    way = 'ahead of' if seconds > 0.0 else 'behind'
+    off = f'{abs(seconds):.{1 if abs(seconds) < 60.0 else 0}f} s ' + (
+        'ahead of' if seconds > 0.0 else 'behind')
     if abs(seconds) < 60.0:
-        return f'{name} speaks, but its stamps are {abs(seconds):.1f} s {way} the clock of this node'
+        return f'{name} speaks, but its stamps are {off} the clock of this node'
     guess = ''
     if clock + seconds < EPOCH < clock:
         guess = ': time since boot, or of a simulation?'
     elif clock < EPOCH < clock + seconds:
         guess = ', which is simulated'
-    return f"{name} speaks, but its stamps are of another clock ({abs(seconds):.0f} s {way} this " \
-        f"node's{guess})"
+    return f"{name} speaks, but its stamps are of another clock ({off} this node's{guess})"
 
 
 SENTENCES: dict[str, Sentence] = {

@@ -1,4 +1,4 @@
-"""A listener or a driver with a deadline, or another demand: it is said what to change, and works."""
+"""A listener or a driver with a deadline: it is said what to change, and that works."""
 
 from pathlib import Path
 import sys

@@ -61,7 +61,8 @@ def step(r, stamp):
     (-900 * S, "of another clock (900 s behind this node's)"),
     (-2 * S, '2.0 s behind the clock of this node'),
     (30 * S, '30.0 s ahead of the clock of this node'),
-    (1_795_000_000 * S, "of another clock (1795000000 s ahead of this node's, which is simulated)"),
+    (1_795_000_000 * S,
+     "of another clock (1795000000 s ahead of this node's, which is simulated)"),
 ])
 def test_other_stamps(rig, parameters, off, told):
     r = rig(parameters)

@@ -25,8 +25,10 @@ class StandIn:
     def __init__(self, bank: Bank, clock: Clock, live: Live,
                  held: dict[str, float], stream_of: Callable[[str], Stream | None]) -> None:
         """
-        Begin. held: by sensor the last value worth holding, which this keeps up to date;
-        stream_of: where a sensor is heard, None of a command.
+        Begin with nothing said.
+
+        held: by sensor the last value worth holding, which this keeps up to date. stream_of: where
+        a sensor is heard, None of a command.
         """
         self.live = live  # changes while it runs
         self.estimates = 0  # that went out

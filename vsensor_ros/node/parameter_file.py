@@ -64,7 +64,7 @@ def check_files(arguments: Sequence[str]) -> list[Block]:
 
 
 def check_addressed(node: Node, blocks: Sequence[Block]) -> None:
-    """Raise Refused when what this node lacks is in a parameter file, for a node named otherwise."""
+    """Raise Refused when what this node lacks stands in a file, for a node named otherwise."""
     name, given = node.get_fully_qualified_name(), set(node.get_parameters_by_prefix(''))
     if 'design_file' in given:
         return
