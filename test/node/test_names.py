@@ -14,6 +14,7 @@ from std_msgs.msg import Float64, String
 import yaml
 
 from vsensor_ros.lab.process import die_with_parent
+from vsensor_ros.node import status
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.lifecycle import ManagedNode, SUCCESS
 from vsensor_ros.node.parameters import check_addressed, check_files
@@ -124,6 +125,23 @@ def test_what_names_this_node_is_read_strictly(given, own, key):
         configure(given({key: {'ros__parameters': {**own, 'ratee': 5.0}}}, ROBOT_WIDE))
     with pytest.raises(Refused, match=r'^/replacer: robot_nam: there is no such parameter'):
         configure(given({key: {'ros__parameters': own}}, ROBOT_WIDE, more=['-p', 'robot_nam:=x']))
+
+
+def test_all_nodes_and_this_one_in_one_block(given, own):
+    with pytest.raises(Refused) as raised:
+        configure(given({'/**': {'ros__parameters': {**own, 'robot_name': 'x'}}}))
+    assert str(raised.value) == (
+        '/replacer: robot_name: there is no such parameter; leave it out; if it is for others, '
+        'write /replacer: above what is for this node')
+
+
+def test_the_design_file_as_an_argument(given, own, design_file, tmp_path):
+    rest = {name: value for name, value in own.items() if name != 'design_file'}
+    more = ['-p', f'design_file:={design_file}']
+    assert configure(given({'replacer': {'ros__parameters': rest}}, more=more))[0] == '/replacer'
+    with pytest.raises(Refused, match=r'0\.yaml: is for /replacer, but this node is /guard'):
+        configure(given({'replacer': {'ros__parameters': rest}},
+                        more=[*more, '-r', '__node:=guard']))
 
 
 def test_two_files_are_put_together(given, own):
@@ -257,6 +275,14 @@ def test_two_robots_do_not_hear_each_other(machine):
     assert told == {f'robot{i}/replacer: {name}' for i in (1, 2)
                     for name in ('y1', 'y2', 'y3', 'the loop')}
     assert second.end() == 0
+
+
+def test_two_of_one_name_are_told(machine, own, monkeypatch):
+    monkeypatch.setattr(status, 'LOOK', 0.1)  # s
+    first = machine()
+    machine(**{name: f'other/{value}' for name, value in own.items() if name.endswith('.topic')})
+    told = '/replacer/status: another /replacer publishes there too'
+    assert first.spin_until(lambda: first.logged(told))
 
 
 def test_in_no_namespace_the_names_are_short(machine):

@@ -30,6 +30,11 @@ class Block:
     names: frozenset[str]  # dotted
 
     @property
+    def for_all(self) -> bool:
+        """Whether it is a file's for nodes of any name."""
+        return bool(self.path) and self.nodes.endswith('*')
+
+    @property
     def tells_of_topics(self) -> bool:
         """Whether only a replacer can be meant."""
         return any(n == 'design_file' or n.startswith(('sensors.', 'commands.'))
@@ -66,7 +71,7 @@ def check_files(arguments: Sequence[str]) -> list[Block]:
 def check_addressed(node: Node, blocks: Sequence[Block]) -> None:
     """Raise Refused when what this node lacks stands in a file, for a node named otherwise."""
     name, given = node.get_fully_qualified_name(), set(node.get_parameters_by_prefix(''))
-    if 'design_file' in given:
+    if 'design_file' in given and any(n.startswith('sensors.') for n in given):
         return
     others = [block for block in blocks if block.path and not fits(block.nodes, name)]
     meant = [block for block in others if block.tells_of_topics]
@@ -97,7 +102,7 @@ def for_others(names: Sequence[str], blocks: Sequence[Block], node: str,
     named: set[str] = set()
     for block in blocks:
         if fits(block.nodes, node):
-            wide = block.path and block.nodes.endswith('*') and block.names.isdisjoint(ours)
+            wide = block.for_all and block.names.isdisjoint(ours)
             (robot_wide if wide else named).update(block.names)
     return [name for name in names if name in robot_wide - named]
 

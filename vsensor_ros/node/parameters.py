@@ -40,6 +40,7 @@ __all__ = ['DIAGNOSTICS', 'Block', 'Command', 'Refused', 'Sensor', 'Settings', '
 LONGEST_NAME = 100  # characters of a sensor's name, which services have in theirs
 LARGEST_NUMBER = 1000  # of sensors and commands: each is a topic or two, and a dozen parameters
 MOST_LISTED = 10  # of what can be wrong without end: names that there are not, and answers
+LEAVE_OUT = 'leave it out'
 JUMP = 10  # periods that a clock may jump ahead at least
 
 
@@ -97,7 +98,9 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         others = for_others(unknown, blocks, where, {'design_file', *named(design)})
         problems.extend(_unknown(  # nor is a quality judged while topics are not known
             [name for name in unknown if name not in others
-             and not (problems and name.startswith(f'{QOS}.'))], known, where))
+             and not (problems and name.startswith(f'{QOS}.'))], known, where,
+            f'leave it out; if it is for others, write {where}: above what is for this node'
+            if any(block.for_all for block in blocks) else LEAVE_OUT))
     if problems:
         raise Refused(problems)
     assert design is not None and endpoints.isolation is not None
@@ -216,12 +219,13 @@ def _check(known: Mapping[str, Known], given: Mapping[str, Any], where: str,
     return values
 
 
-def _unknown(names: Sequence[str], known: Iterable[str], where: str) -> list[BadInput]:
+def _unknown(names: Sequence[str], known: Iterable[str], where: str,
+             mend: str = LEAVE_OUT) -> list[BadInput]:
     problems = []
     for name in names[:MOST_LISTED]:  # looking for one that is like it takes its time
         near = difflib.get_close_matches(name[:LONGEST_NAME], known, 1)
         problems.append(BadInput(where, name, 'there is no such parameter',
-                                 f'did you mean {near[0]}?' if near else 'leave it out'))
+                                 f'did you mean {near[0]}?' if near else mend))
     if len(names) > MOST_LISTED:
         problems.append(BadInput(where, '', f'and {len(names) - MOST_LISTED} more parameters '
                                  'that there are not', 'leave them out'))

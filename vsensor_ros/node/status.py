@@ -29,8 +29,9 @@ from vsensor_ros.node.diagnostics import (
     Report,
     Scene,
 )
-from vsensor_ros.node.graph import Complaint, complaints, ends_of
+from vsensor_ros.node.graph import Complaint, complaints, End, ends_of
 from vsensor_ros.node.pace import Health
+from vsensor_ros.node.parameters import DIAGNOSTICS
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 
@@ -72,7 +73,9 @@ class Reporter:
     def __init__(self, node: Node, replacer: Replacer) -> None:
         self.node, self.replacer = node, replacer
         self.active = False
-        self.ends = ends_of(replacer.settings)
+        # what it says of itself is its own: two of one name would be taken for one
+        self.ends = (*ends_of(replacer.settings),
+                     End(node.resolve_topic_name(STATUS), DIAGNOSTICS, True))
         self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
         self.found: tuple[Complaint, ...] = ()  # on the graph, at the last two looks
         self._suspected: set[Complaint] = set()  # at the last look
