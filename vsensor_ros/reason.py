@@ -14,6 +14,23 @@ from typing import Any
 
 Sentence = str | Callable[..., str]  # {fact} stands for a fact; or called with the facts
 
+EPOCH = 1e9  # s since 1970; a clock that shows less counts from something else
+
+
+def _another_clock(name: str, seconds: float, clock: float) -> str:
+    """Say how far [s] the stamps of an input are ahead of this node's clock, which shows that."""
+    off = f'{abs(seconds):.{1 if abs(seconds) < 60.0 else 0}f} s ' + (
+        'ahead of' if seconds > 0.0 else 'behind')
+    if abs(seconds) < 60.0:
+        return f'{name} speaks, but its stamps are {off} the clock of this node'
+    guess = ''
+    if clock + seconds < EPOCH < clock:
+        guess = ': time since boot, or of a simulation?'
+    elif clock < EPOCH < clock + seconds:
+        guess = ', which is simulated'
+    return f"{name} speaks, but its stamps are of another clock ({off} this node's{guess})"
+
+
 SENTENCES: dict[str, Sentence] = {
     # of readings and commands that are not used
     'not finite': 'not finite',
@@ -32,6 +49,7 @@ SENTENCES: dict[str, Sentence] = {
     'no reading yet': 'no reading of {name} yet',
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
+    'input of another clock': _another_clock,
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',

@@ -7,7 +7,7 @@ from rclpy.parameter import Parameter
 
 from vsensor_ros.engine import Policy
 from vsensor_ros.node.known import Refused
-from vsensor_ros.node.parameter_file import check_addressed
+from vsensor_ros.node.parameter_file import Block, check_addressed
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.observers import Design
@@ -199,11 +199,12 @@ def test_a_rate_that_does_not_suit_a_discrete_design(start, parameters, plan, tm
 
 def test_a_parameter_file_for_another_node(start, parameters):
     with pytest.raises(Refused) as raised:
-        check_addressed(start({}), ['replacr', '/robot/replacer'])
+        check_addressed(start({}), [Block('a.yaml', name, frozenset(['rate']))
+                                    for name in ('/replacr', '/robot/replacer')])
     assert str(raised.value) == (
-        '/replacer: parameter file: is for replacr, /robot/replacer; it has nothing for '
-        '/replacer; begin it with replacer:')
-    check_addressed(start(parameters), ['replacer'])
+        'a.yaml: is for /replacr, /robot/replacer, but this node is /replacer; write /**: or '
+        '/replacer: above it')
+    check_addressed(start(parameters), [Block('a.yaml', '/driver', frozenset(['rate']))])
     check_addressed(start({}), [])
 
 

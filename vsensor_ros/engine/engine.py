@@ -48,7 +48,8 @@ class Engine:
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
-        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held)
+        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
+                                 self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
@@ -216,6 +217,10 @@ class Engine:
     def _command(self, act: Callable[[int], Switch]) -> Messages:
         self._switch = act(self._clock.lasting())
         return self._decide()[0]
+
+    def _stream_of(self, name: str) -> Stream | None:
+        """Return where a sensor is heard; None of a command."""
+        return next((stream for stream in self._streams if name in stream.names), None)
 
     # ------------------------------------------------------------------------------ decisions
 

@@ -180,6 +180,15 @@ class Stream:
         heard = self._heard.get(name)
         return heard is not None and self._clock.now - heard <= self._max_age[name]
 
+    def silence(self, name: str) -> int | None:
+        """Return the time [ns] since a channel spoke, whatever its stamp; None before it did."""
+        heard = self._heard.get(name)
+        return None if heard is None else self._clock.now - heard
+
+    def ahead(self, name: str) -> int:
+        """Return how far [ns] a channel's stamps are ahead of the clock, as it sends them."""
+        return self.senders.of(name).offset
+
     def why_silent(self, name: str) -> Reason | None:
         """Return why a healthy channel is not to be had live, or None when it is."""
         now, topic = self._clock.now, self.plan.source

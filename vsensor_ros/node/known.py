@@ -41,6 +41,7 @@ class Known:
     choices: tuple[str, ...] = ()
     live: bool = False  # may change while the node runs
     general: str = ''  # the parameter for all sensors that this one overrides
+    or_none: bool = False  # 0 stands for none, though it is below `low`
 
     def check(self, value: Any, where: object, name: str) -> Any:
         """Return the value in its type; raise BadInput when it cannot be used."""
@@ -56,9 +57,10 @@ class Known:
             raise BadInput(where, name, 'is missing', give)
         if not isinstance(value, self.type) or (self.type is int and isinstance(value, bool)):
             raise BadInput(where, name, f'{value!r:.80} is not {_TYPES[self.type]}', give)
-        if isinstance(value, (float, int)) and not self.low <= value <= self.high:
-            raise BadInput(where, name, f'{value:g} is out of range',
-                           f'choose from {self.low:g} to {self.high:g}')
+        if isinstance(value, (float, int)) and not self.low <= value <= self.high and not (
+                self.or_none and value == 0):
+            raise BadInput(where, name, f'{_plain(value)} is out of range',
+                           f'choose from {self.limits()}')
         if self.choices and value not in self.choices:
             raise BadInput(where, name, f'{shown(value, 80)} is not a choice',
                            f'choose from {", ".join(self.choices)}')
@@ -68,6 +70,11 @@ class Known:
             raise BadInput(where, name, f'has {len(value)} characters',
                            f'at most {LONGEST_TEXT} are read')
         return value
+
+    def limits(self) -> str:
+        """Return in words what a number may be."""
+        words = f'{_plain(self.low)} to {_plain(self.high)}'
+        return f'{words}; 0 for none' if self.or_none else words
 
     def descriptor(self) -> ParameterDescriptor:
         """Describe the parameter to the tools of ROS."""
@@ -83,7 +90,8 @@ class Known:
                 FloatingPointRange(from_value=self.low, to_value=self.high)]
         if self.type is int:
             descriptor.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+                IntegerRange(from_value=0 if self.or_none else int(self.low),
+                             to_value=int(self.high))]
         return descriptor
 
 
@@ -93,6 +101,10 @@ def _texts(value: Any, where: object, name: str, give: str) -> list[str]:
     if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) for text in texts):
         raise BadInput(where, name, f'{value!r:.80} is not a list of texts', give)
     return list(texts) or ['']  # an empty list has no type in ROS
+
+
+def _plain(value: float) -> str:
+    return str(value) if isinstance(value, int) else f'{value:g}'
 
 
 _TYPES = {str: 'a text', float: 'a number', int: 'a whole number', bool: 'true or false'}
@@ -105,7 +117,7 @@ GENERAL: Mapping[str, Known] = {
                      'count', 's', 0.001, 86400.0),
     'max_jump': Known(float, 1.0, 'jump of the clock ahead from which the virtual sensors start '
                       'anew; at least ten periods count', 's', 0.001, 86400.0),
-    'isolation.topic': Known(str, '/isolation', 'topic that says which sensors are faulty'),
+    'isolation.topic': Known(str, 'isolation', 'topic that says which sensors are faulty'),
     'isolation.type': Known(str, DIAGNOSTICS, 'message type of the isolation topic',
                             choices=(DIAGNOSTICS, TEXT)),
     'isolation.names': Known(
