@@ -39,6 +39,7 @@ def row(name, entry):
         values = f'{entry.low:g} to {entry.high:g}'
     else:
         values = ''
+    values = ', '.join([*(f'`{word}`' for word in entry.words), values])
     default = 'must be given' if entry.default is None else f'`{entry.default!r}`'
     if name.startswith('qos_overrides.'):
         default = 'as opened'
