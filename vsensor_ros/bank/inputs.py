@@ -172,7 +172,7 @@ class Inputs:
         if now is None or not command.stamps:
             there = command.stamps or (now is not None and command.held(now) is not None)
             return None if there else Reason.of('no command yet', name=name)
-        if not command.stopped(now):
+        if not command.stopped(max(now, command.stamps[-1])):
             return None
         age = (now - command.stamps[-1]) * 1e-9
         return Reason.of('command ended' if command.spoilt is None else 'command unusable',
