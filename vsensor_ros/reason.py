@@ -37,7 +37,8 @@ SENTENCES: dict[str, Sentence] = {
     'no reading yet': 'no reading of {name} yet',
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
-    'command ended': '{name} ended {seconds:.1f} s ago; commands.{name}.at_end says what counts then',
+    'command ended': '{name} ended {seconds:.1f} s ago; commands.{name}.at_end says what counts '
+    'then',
     'command unusable': 'nothing of {name} could be used for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
