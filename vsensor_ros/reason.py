@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+_YEAR = 3e7  # s
 Sentence = str | Callable[..., str]  # {fact} stands for a fact; or called with the facts
 
 EPOCH = 1e9  # s since 1970; a clock that shows less counts from something else
@@ -38,6 +39,10 @@ SENTENCES: dict[str, Sentence] = {
     'isolated': 'isolated',
     'duplicate stamp': 'duplicate stamp',
     'stamp runs backwards': 'stamp runs backwards',
+    # of commands
+    'command not used': '{name}: {why}, so the last one is not used; mend who commands it',
+    'command of another clock': lambda name, seconds: f'{name}: its stamps are {_lead(seconds)} '
+    f'the clock of this node, so it counts from its arrival; mend the clock of who commands it',
     # of virtual sensors that have no estimate to serve with
     'not designed': 'no design for {channel} when {failed} failed',
     'refused': '{text}',
@@ -50,6 +55,9 @@ SENTENCES: dict[str, Sentence] = {
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
     'input of another clock': _another_clock,
+    'command ended': '{name} ended {seconds:.1f} s ago; commands.{name}.at_end says what counts '
+    'then',
+    'command unusable': 'nothing of {name} could be used for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
@@ -110,6 +118,12 @@ SENTENCES: dict[str, Sentence] = {
     'clock of its own': 'the stamps on {topic} are {seconds:+.1f} s from the clock of this node; '
     'the estimates in their place follow them',
 }
+
+
+def _lead(seconds: float) -> str:
+    if seconds < -_YEAR:
+        return 'of another kind than'  # since boot, say
+    return f'{abs(seconds):.3g} s {"ahead of" if seconds > 0.0 else "behind"}'
 
 
 @dataclass(frozen=True)

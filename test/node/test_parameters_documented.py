@@ -40,6 +40,7 @@ def row(name, entry):
         values = entry.limits()
     else:
         values = ''
+    values = ', '.join([*(f'`{word}`' for word in entry.words), values])
     default = 'must be given' if entry.default is None else f'`{entry.default!r}`'
     if name.startswith('qos_overrides.'):
         default = 'as opened'

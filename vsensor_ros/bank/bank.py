@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 import math
+from types import MappingProxyType
 
 import numpy as np
 
+from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.steps import State, Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
@@ -24,9 +26,10 @@ class Bank(Steps):
     """
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
-                 jump_ahead: float | None = None) -> None:
+                 jump_ahead: float | None = None,
+                 command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
         """Prepare, see `Steps`; raises BadInput."""
-        super().__init__(design, rate, max_age, jump_ahead)
+        super().__init__(design, rate, max_age, jump_ahead, command_ends)
         self._entries = {(frozenset(fault_set), channel): entry
                          for (fault_set, channel), entry in design.entries.items()}
         self._output = {(frozenset(fault_set), channel): i

@@ -12,11 +12,13 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.measured import Measured
@@ -46,17 +48,20 @@ class Steps:
 
     t_0 is the stamp of the first thing taken. A virtual sensor starts, from its initial state,
     at the first grid time at which all that it needs is there, and stops when a reading that it
-    needs is older than its max_age; it starts anew when that reading is back.
+    needs is older than its max_age, or a command that it needs has ended; it starts anew when
+    that is back.
     """
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
-                 jump_ahead: float | None = None) -> None:
+                 jump_ahead: float | None = None,
+                 command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
         """
         Prepare for a rate [Hz] and readings of at most max_age [s], at least three periods.
 
         max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
-        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. Raises
-        BadInput when a number does not suit the design.
+        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. command_ends:
+        what becomes of commands that come no more; those not named hold for ever. Raises BadInput
+        when a number does not suit the design.
         """
         if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
             raise BadInput('', 'rate', f'{rate} is not a rate in Hz', 'give a number above 0')
@@ -81,7 +86,9 @@ class Steps:
         self._batch = batch_of(design, self.period * 1e-9, Cu)
         self._step = self._batch.step if len(self._batch.runs_on) else None
         self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
-        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None)
+        check_ends(command_ends, design.inputs)
+        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
+                            command_ends, 3 * self.period)
         self._measured = Measured(self._batch, ages, self.period, Cu)
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
@@ -144,6 +151,10 @@ class Steps:
             self._redo = before
         return None
 
+    def spoil(self, name: str, time: int) -> None:
+        """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
+        self._told.spoil(name, time)
+
     def distrust(self, names: Iterable[str]) -> None:
         """
         Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
@@ -175,6 +186,10 @@ class Steps:
         """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
         return self._told.silent(name, now, self._began)
 
+    def lack(self, name: str) -> Reason | None:
+        """Return why nothing counts of a sensor or a command now; None: something does."""
+        return self._told.lack(name, self._now)
+
     def confirmed(self, time: int, without: Iterable[str] = ()) -> bool:
         """Tell whether every sensor that is not silent, nor named, has said what it is then."""
         return self._told.confirmed(time, without)
@@ -202,6 +217,7 @@ class Steps:
         first, self._now = self._now is None, now
         if first:
             self._began = now
+            self._told.begin(now)
             self.refused.update(self._told.drop_ahead(now))
         if self._origin is None:
             return

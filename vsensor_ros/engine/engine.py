@@ -20,6 +20,7 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.channel import Channel, NONE, VIRTUAL
 from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.commands import Commands
 from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
@@ -43,11 +44,13 @@ class Engine:
     def __init__(self, setup: Setup) -> None:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
         self._design = setup.design
-        self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead)
+        self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead,
+                          setup.command_ends)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
+        self._commands = Commands(setup.design.inputs, self._bank, self._clock, self._intake)
         self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
                                  self._stream_of)
         blend = Bumpless(setup.live.time_constant)
@@ -116,6 +119,7 @@ class Engine:
         self._restart()
         self._ticks.restart()
         self._intake.forget()
+        self._commands.forget()
 
     def _restart(self) -> None:
         self._starts += 1
@@ -155,8 +159,8 @@ class Engine:
         self.count(where.names[0], UNREADABLE)
 
     def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
-        """Take a command; it counts from its stamp, or from when it was received."""
-        self._intake.command(name, value, stamp, received)
+        """Take a command; it counts from its stamp, or from when it was received: `Commands`."""
+        self._commands.take(name, value, stamp, received)
 
     def count(self, name: str, why: Reason) -> None:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
@@ -353,7 +357,7 @@ class Engine:
             faulty, tuple(s for s in self._design.sensors if s in self._knows),
             self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             MappingProxyType(dict(self._clock.jumps)),
-            self._starts + sum(self._bank.jumps.values()), still)
+            self._starts + sum(self._bank.jumps.values()), still, self._commands.states(counts))
 
     def _residual(self, name: str, fault_set: tuple[str, ...]) -> float:
         """Return the last reading of a faulty sensor - its estimate; NaN when not known."""

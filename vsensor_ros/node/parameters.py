@@ -19,6 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank import End
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.engine.isolation_names import Names, Wrong
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
@@ -60,6 +61,7 @@ class Settings:
     sensors: tuple[Sensor, ...]  # in the design's order
     commands: tuple[Command, ...]
     live: Live
+    command_ends: Mapping[str, End]  # of those that do not hold for ever
     for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
@@ -111,7 +113,7 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
-        endpoints.commands, _live(design, values), tuple(others))
+        endpoints.commands, _live(design, values), _command_ends(design, values), tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -251,6 +253,18 @@ def _own(values: Mapping[str, Any], sensor: str, key: str) -> Any:
     """Return what counts for one sensor: its own value, else the general one."""
     value = values[f'sensors.{sensor}.{key}']
     return values[OVERRIDES[key]] if value == '' else value
+
+
+def _command_ends(design: Design, values: Mapping[str, Any]) -> dict[str, End]:
+    """Return what becomes of each command that comes no more; those that hold are left out."""
+    ends = {}
+    for name in design.inputs:
+        age, at_end = values[f'commands.{name}.max_age'], values[f'commands.{name}.at_end']
+        if at_end != 'hold':
+            ends[name] = End(values['max_age'] if age == '' else age,
+                             at_end if isinstance(at_end, float) else None,
+                             only_periodic=age == '' and at_end == '')
+    return ends
 
 
 def _live(design: Design, values: Mapping[str, Any]) -> Live:

@@ -115,7 +115,8 @@ class Replacer:
         try:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
-                tuple(topic.plan for topic in topics), self.simulated, settings.live))
+                tuple(topic.plan for topic in topics), self.simulated, settings.live,
+                settings.command_ends))
         except BadInput as error:
             raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
                                     error.problem, error.mend)]) from None

@@ -317,4 +317,17 @@ def _loop_facts(engine: EngineState, health: Health, state: str) -> Mapping[str,
         'faulty': ' '.join(engine.faulty),
         'spoken_of': ' '.join(engine.spoken_of),
         **{f'clock_{way.replace(" ", "_")}': count for way, count in engine.jumps.items()},
+        **_command_facts(engine),
     }
+
+
+def _command_facts(engine: EngineState) -> Mapping[str, object]:
+    """Return how each command is, for programs."""
+    facts: dict[str, object] = {}
+    for command in engine.commands:
+        key = f'command_{command.name}'
+        facts[key] = command.trouble or command.lack or 'OK'
+        facts[f'{key}_lead'] = number(command.lead)
+        facts[f'{key}_from_arrival'] = command.from_arrival
+        facts[f'{key}_not_used'] = sum(command.counts.values())
+    return facts
