@@ -71,7 +71,7 @@ SENTENCES: dict[str, Sentence] = {
     'stale messages': 'messages arrive on {topic}, but are {why}',
     'driver silent': 'its driver has been silent for {seconds:.1f} s',
     'not newer': 'not sent on: not newer than what went out',
-    'from the future': 'not sent on: stamp far ahead of the clock',
+    'withheld': '{count} of its messages in {seconds:g} s {why}',
     'never seen': 'no message of its driver was ever seen, so frame and names are not known',
     'not sent': 'not sent: {text}',
     'mistake': 'a mistake of this node ({error})',
