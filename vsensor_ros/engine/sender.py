@@ -67,7 +67,7 @@ class Sender:
     lag: int = 0  # by how much these are older than the tick, at least
     offset: int = 0  # of the clock of its stamps to the engine's, when that is another
     waiting: deque[Waiting] = field(default_factory=lambda: deque(maxlen=WAITING))
-    spoke: int = 0  # when the last message came of which something was composed
+    spoke: int = 0  # when the last message came whose stamp goes on from those before
     held_up: int | None = None  # since when what is composed would not be newer than the rest
     # and afterwards
     floors: dict[str, int] = field(default_factory=dict)  # by channel: the last composed stamp
@@ -137,6 +137,8 @@ class Sender:
         if not now or stamp > now + self.ahead:
             return
         self.recent.append((stamp, now))
+        if stamp > self.newest - CLOCKS_APART:
+            self.spoke = now
         if active and self.late and token is self.template:
             self.waiting.append(Waiting(token, stamp, values))
             self.lag = max(0, min(self.lag, now - stamp))
@@ -221,26 +223,32 @@ class Sender:
         """
         Tell whether a live message may go out: newer than what was composed of its channels.
 
-        That is asked for PATIENCE. Once one was newer, a clock that was set back is believed
-        when for max_age nothing but older stamps has come, and they go on increasing. warn: is
-        told, then, by how many seconds the stamps step back.
+        That is asked for PATIENCE; what is older all the time has another clock then. Once one
+        was newer, a clock that was set back is believed when for max_age nothing but older stamps
+        has come, and they go on increasing. warn: is told, then, by how many seconds the stamps
+        step back.
         """
         back = max((self.floors.get(name, NEVER) for name in present), default=NEVER) - stamp
         over = not 0 <= now - self.composed <= PATIENCE
+        believed = False
         if back < 0:
             self.behind, self.passed = None, True
-        elif not over:
+        elif over:
+            believed = not self.passed
+        else:
             if self.behind is None:
                 self.behind, self.refused = now, stamp
             goes_on, self.refused = stamp > self.refused, stamp
-            over = self.passed and goes_on and back > CLOCKS_APART \
+            believed = self.passed and goes_on and back > CLOCKS_APART \
                 and now - self.behind >= max_age
-        if over:
+        if over or believed:
             self.floors.clear()
             self.behind = None
-            if back >= 0:
-                warn(back * 1e-9)
-        return over or back < 0
+        if believed:
+            self.newest = NEVER
+            self.recent.clear()
+            warn(back * 1e-9)
+        return back < 0 or over or believed
 
 
 class Senders:

@@ -361,7 +361,7 @@ class Stream:
         while sender.waiting:
             token, stamp, values = sender.waiting.popleft()
             if stamp > newest:
-                newest, sender.spoke = stamp, self._clock.now
+                newest = stamp
                 made.append(self._composition(
                     sender, token, stamp, stamp, tick, _recalled(wanted, stamp, recall),
                     {name: value for name, value in zip(self.names, values)
