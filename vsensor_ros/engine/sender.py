@@ -122,12 +122,14 @@ class Sender:
 
         A stamp far from the others may be a mistake. What is composed must not wait for it.
         """
-        if not now:
-            return 0  # no time is known by which it could be judged
-        before = max(self.newest, stamp)
-        if (stamp > now + self.ahead or stamp < before - CLOCKS_APART) \
-                and not self._believes(stamp, now):
+        if self.newest < stamp <= now + self.ahead and now:  # mostly
+            self.newest = stamp
+            self.recent.append((stamp, now))
             return 0
+        before = max(self.newest, stamp)
+        far = stamp > now + self.ahead or stamp < before - CLOCKS_APART
+        if not now or far and not self._believes(stamp, now):
+            return 0  # 0: no time is known by which it could be judged
         self.recent.append((stamp, now))
         self.newest = max(self.newest, stamp)
         return before - self.newest
@@ -221,14 +223,13 @@ class Sender:
         self.composed, self.passed, self.behind = now, False, None
 
     def follows(self, present: Iterable[str], stamp: int, now: int, max_age: int,
-                warn: Callable[[float], None]) -> bool:
+                warn: Callable[[int], None]) -> bool:
         """
         Tell whether a live message may go out: newer than what was composed of its channels.
 
         That is asked for PATIENCE; what is older all the time has another clock then. Once one
         was newer, a clock that was set back is believed when for max_age nothing but older stamps
-        has come, and they go on increasing. warn: is told, then, by how many seconds the stamps
-        step back.
+        has come, and they go on increasing. warn: is told, then, by how much the stamps step back.
         """
         back = max((self.floors.get(name, NEVER) for name in present), default=NEVER) - stamp
         over = not 0 <= now - self.composed <= PATIENCE
@@ -249,7 +250,7 @@ class Sender:
         if believed:
             self.newest = NEVER
             self.recent.clear()
-            warn(back * 1e-9)
+            warn(back)
         return back < 0 or over or believed
 
 

@@ -95,13 +95,8 @@ class Stream:
             self._note(self.names[0], float(values[0]), now)
             only = self._only  # mostly it is so
             only.take(token, now)
-            if stamp is None:
-                return AS_IT_CAME
-            if only.newest < stamp <= now + only.ahead and now:
-                only.newest = stamp
-                only.recent.append((stamp, now))
-            else:
-                self._sends(only, stamp, now)
+            if stamp is not None and (back := only.sends(stamp, now)):
+                self._step_back(back)
             return AS_IT_CAME
         for name, value in zip(self.names, values):
             if isinstance(value, Reason):
@@ -124,7 +119,8 @@ class Stream:
                     present, stamp, now, self._longest, self._step_back):
                 self._withhold(present)
                 return NOT_NEWER
-            self._sends(sender, stamp, now)
+            if back := sender.sends(stamp, now):
+                self._step_back(back)
         return AS_IT_CAME if self.plain else self._blended(values)
 
     def judge_foreign(self, message: Message, token: Token,
@@ -179,21 +175,15 @@ class Stream:
                     changed[i] = put
         return Forward(changed) if changed else AS_IT_CAME
 
-    def _sends(self, sender: Sender, stamp: int, now: int) -> None:
-        """Note the stamp of a live message that goes on."""
-        back = sender.sends(stamp, now)
-        if back:
-            self._step_back(back * 1e-9)
-
     def _withhold(self, names: Iterable[str]) -> None:
         """Note that channels do not go out, because they would not be newer than what did."""
         for name in names:
             self._count(name, NOT_NEWER)
             self._withheld.setdefault(name, deque(maxlen=MOST)).append(self._clock.now)
 
-    def _step_back(self, seconds: float) -> None:
+    def _step_back(self, by: int) -> None:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
-                                     output=self.plan.output, seconds=seconds))
+                                     output=self.plan.output, seconds=by * 1e-9))
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
