@@ -155,9 +155,11 @@ class Steps:
         """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
         self._told.spoil(name, time)
 
-    def distrust(self, names: Iterable[str]) -> None:
+    def distrust(self, names: Iterable[str], now: int | None = None) -> None:
         """
         Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
+
+        now: the time, when that is later than the one of `advance`.
 
         Their readings are forgotten and further ones not used, without counting. Every virtual
         sensor that reads one, or started from one, stops at once, at all times that can be redone
@@ -170,8 +172,9 @@ class Steps:
         lost = names - self._told.distrusted
         for name in lost:
             self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
-        # it may be trusted at any time before the next step
-        self._told.distrust(names, None if self._now is None else self._now + self.period - 1)
+        if self._now is not None:  # it may be trusted at any time before the next step
+            now = max(self._now, now or self._now) + self.period - 1
+        self._told.distrust(names, now)
         if lost:
             gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
@@ -242,6 +245,14 @@ class Steps:
             self._settled.append(self._past.popleft())
         if len(self._settled) >= self._measured.record.block:
             self._settle()
+
+    def step_back(self, to: int) -> int:
+        """Forget the states after a time [ns], to step them anew; return the time of the last."""
+        while len(self._past) > 1 and self._at(self._past[-1].tick) > to:
+            self._past.pop()
+        self._now = to
+        self._estimates = self._unseen = None
+        return self._at(self._past[-1].tick)
 
     def _take_back(self, last: int) -> None:
         """Drop the states that late data changes; wait with it when that is often and far."""

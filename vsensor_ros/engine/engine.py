@@ -59,7 +59,8 @@ class Engine:
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
-                   self._intake.say) for i, plan in enumerate(setup.streams)]
+                   self._bank.period, self._intake.say, self._intake.count)
+            for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts
         self._knows: frozenset[str] = frozenset()  # sensors that isolation has spoken of
@@ -138,11 +139,8 @@ class Engine:
         the message in a Composition. related: see `Stream.judge_foreign`.
         """
         where = self._streams[stream]
-        verdict = where.judge_foreign(message, token, related) if message.foreign else \
+        return where.judge_foreign(message, token, related) if message.foreign else \
             where.judge(message, token)
-        if isinstance(verdict, Reason):
-            self.count(where.names[0], verdict)
-        return verdict
 
     def failed_templates(self, stream: int) -> list[tuple[int, Token]] | None:
         """Return what a foreign message may be related to; None, mostly: nothing has failed."""
@@ -240,9 +238,9 @@ class Engine:
         """Step the virtual sensors to a tick, and speak for the failed."""
         if self._watched:
             self._silence()
-        idle = not (self._switch.faulty or self._switch.forced)
-        self._ticks.advance(at, idle)
-        if idle:
+        lag = self._lag()
+        self._ticks.advance(at, lag)
+        if lag is None:
             return []
         made, spoken = self._decide()
         at = self._ticks.time
@@ -250,6 +248,12 @@ class Engine:
             if stream not in spoken and not self._switch.faulty.isdisjoint(stream.names):
                 made += self._speak(stream, at)
         return made
+
+    def _lag(self) -> int | None:
+        """Return by how much older than a tick its estimates are wanted; None: nobody asks."""
+        names = self._switch.faulty | self._switch.forced
+        return min((stream.lag(name) for stream in self._streams for name in stream.names
+                    if name in names), default=None)
 
     def _silence(self) -> None:
         """Tell the switch who has fallen silent, of those whose silence counts."""
@@ -262,12 +266,12 @@ class Engine:
 
     def _decide(self) -> tuple[Messages, list[Stream]]:
         """Let the switch decide, the bank follow; return what the streams that changed say."""
-        self._ticks.catch_up()
+        self._ticks.catch_up(self._lag() or 0)
         before = {s: (d.source, d.fault_set) for s, d in self._switch.decisions.items()}
         for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
-                self._bank.distrust(self._believed)
+                self._bank.distrust(self._believed, self._ticks.time)
             self._switch = self._switch.decide(
                 self._clock.lasting(), self._stand_in.ready, self._stand_in.why_not)
             if self._switch.faulty == self._believed:
@@ -328,7 +332,8 @@ class Engine:
         return seen != before
 
     def _is(self, stream: Stream, channel: Channel) -> tuple[str, Reason | None]:
-        return channel.state(self._switch.decisions[channel.name], stream.why_silent(channel.name))
+        return channel.state(self._switch.decisions[channel.name],
+                             stream.why_silent(channel.name), stream.why_odd(channel.name))
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""

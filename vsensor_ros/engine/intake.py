@@ -59,13 +59,20 @@ class Intake:
         return said
 
     def readings(self, stream: Stream, message: Message, received: int) -> None:
-        """Take what a message says of its channels. received: its time when it has no stamp."""
+        """
+        Take what a message says of its channels.
+
+        received: when it came, by the system's clock; its time when it has no stamp.
+        """
+        now = self._clock.now
+        if received > now and not self._clock.simulated:
+            now = received  # after the clock was looked at, which is a while ago when all is busy
         stamp = message.stamp or self.arrival(received)
         for channel, value in zip(stream.channels, message.values):
             if value.__class__ is float:
                 channel.readings += 1
                 if stamp:
-                    self._feed(channel, stamp, value)
+                    self._feed(channel, stamp, value, now)
             elif not message.foreign and not (
                     is_absent(value) and stream.fresh(channel.name)):
                 assert isinstance(value, Reason)  # no other driver sends it, either
@@ -80,9 +87,9 @@ class Intake:
         """Return when a message came, which counts if it has no stamp; 0: time has not begun."""
         return self._clock.now if self._clock.simulated else received
 
-    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
+    def _feed(self, channel: Channel, stamp: int, value: float, now: int) -> None:
         name = channel.name
-        reason = self._bank.take(name, stamp, value, self._clock.now)
+        reason = self._bank.take(name, stamp, value, now)
         if reason is None:
             self.held[name] = value
             before, self._last[name] = self._last.get(name, stamp), stamp

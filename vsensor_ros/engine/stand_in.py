@@ -72,7 +72,7 @@ class StandIn:
     def speak(self, stream: Stream, decisions: Mapping[str, Decision],
               distrusted: Collection[str], at: int, at_once: bool = False) -> list[Composition]:
         """
-        Return what stands in for the failed channels of a stream at the time of the state.
+        Return what stands in for the failed channels of a stream at the time of a tick.
 
         distrusted: sensors whose readings may have been faulty. at_once: see `Stream.compose`.
         """
@@ -99,7 +99,7 @@ class StandIn:
         stream.fail(frozenset(wanted), frozenset(passing))
         if not wanted:
             return []
-        made, troubles = stream.compose(at, wanted, at_once)
+        made, troubles = stream.compose(at, wanted, at_once, self._bank.recall)
         for channel in stream.channels:
             if channel.name in troubles:
                 _note(channel, troubles[channel.name])

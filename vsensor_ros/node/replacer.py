@@ -254,16 +254,17 @@ class Replacer:
 
     def _send(self, made: Sequence[Composition]) -> None:
         """Publish messages, and tell the engine how that went."""
-        estimates = []
+        estimates: dict[int, list[tuple[str, Substitute]]] = {}  # by time
         for composition in made:
             topic = self.topics[composition.stream]
             trouble = self._publish(topic, composition)
             self.engine.done(composition, trouble)
             if trouble is None:
-                estimates += [(topic.sensors[i].name, said) for i, said in composition.fields
-                              if isinstance(said, Substitute) and said.fault_set is not None]
-        if estimates:
-            self.estimates.send(made[0].time, estimates)
+                estimates.setdefault(composition.time, []).extend(
+                    (topic.sensors[i].name, said) for i, said in composition.fields
+                    if isinstance(said, Substitute) and said.fault_set is not None)
+        for at, those in estimates.items():
+            self.estimates.send(at, those)
 
     def _publish(self, topic: Topic, composition: Composition) -> Reason | None:
         """Publish a message that the engine composed; return why it did not go out, or None."""
