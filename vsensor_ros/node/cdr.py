@@ -15,7 +15,7 @@ it, too), and a message in the message that cannot be read (what follows it is g
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 import struct
 from typing import Any, NamedTuple
@@ -23,17 +23,11 @@ from typing import Any, NamedTuple
 from rclpy.serialization import deserialize_message, serialize_message
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.node.accessor import (
-    compile_accessor,
-    field_type,
-    get_stamp,
-    has_stamp,
-    inner_type,
-    NOT_THERE,
-    Step,
-    TOO_SHORT,
-    trace,
-)
+from vsensor_ros.node.accessor import Accessor, NOT_THERE, TOO_SHORT
+from vsensor_ros.node.disowned import DISOWNED
+from vsensor_ros.node.field_path import field_type, inner_type, Step
+from vsensor_ros.node.room import columns
+from vsensor_ros.node.stamp import compile_stamps, Stamp, to_ns
 from vsensor_ros.reason import Reason
 
 LAYOUTS = 16  # kept of one topic: so many drivers may share it and stay cheap
@@ -42,9 +36,9 @@ NEAR = 16  # bytes between two stretches that are cheaper compared as one
 
 _LITTLE_ENDIAN = b'\x00\x01'
 _BODY = 4  # where the bytes begin that alignment counts from
-_LETTERS = {'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i', 'uint32': 'I',
-            'int64': 'q', 'uint64': 'Q', 'float': 'f', 'double': 'd'}
-_SIZES = {'boolean': 1, 'octet': 1,
+_LETTERS = {'boolean': '?', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H',
+            'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float': 'f', 'double': 'd'}
+_SIZES = {'octet': 1,
           **{kind: struct.calcsize('<' + letter) for kind, letter in _LETTERS.items()}}
 _LENGTH = struct.Struct('<I')
 
@@ -52,7 +46,7 @@ _LENGTH = struct.Struct('<I')
 class Reading(NamedTuple):
     """What a message says of the fields of a reader, in their order."""
 
-    stamp: int | None  # ns, the header's; None when the type has none or it is not filled in
+    stamp: int | None  # ns, mostly the header's; None when it has none or it is not filled in
     values: tuple[float | Reason, ...]  # the number, or the reason why there is none
     foreign: bool  # lacks the names of all the fields; may be sound all the same
     offsets: tuple[int | None, ...]  # of the numbers in the bytes, where known
@@ -69,13 +63,16 @@ def decode(kind: Any, raw: bytes) -> Any:
 class Reader:
     """Reads and writes some numeric fields of serialized messages of one type."""
 
-    def __init__(self, kind: Any, paths: Sequence[str]) -> None:
-        """Compile dotted fields (see `trace`) of a message class. Raises BadInput."""
+    def __init__(self, kind: Any, accessors: Sequence[Accessor],
+                 stamps: Sequence[Stamp] | None = None) -> None:
+        """Read these fields of a message class; stamps: its, the first counts; the header's."""
         self.kind = kind
-        self.accessors = tuple(compile_accessor(kind, path) for path in paths)
-        self._stamped = has_stamp(kind)
-        stamp = ('header.stamp.sec', 'header.stamp.nanosec')
-        self._steps = [trace(kind, path) for path in (*paths, *(stamp if self._stamped else ()))]
+        self.accessors = tuple(accessors)
+        self.aligned: list[set[str]] = [set() for _ in accessors]  # see `_Place`, of all so far
+        self._stamp = next(iter(compile_stamps(kind) if stamps is None else stamps), None)
+        marks = [steps for a in accessors for mark in a.marks for steps in mark.looks_at]
+        stamp = [] if self._stamp is None else [n.steps for n in self._stamp.numbers]
+        self._steps = [*(a.steps for a in accessors), *stamp, *marks]
         self._letters = [_LETTERS[steps[-1].type.inner] for steps in self._steps]
         self._root: _Struct | None
         try:
@@ -124,7 +121,7 @@ class Reader:
         message = decode(self.kind, raw)
         if message is None:
             return None
-        return Reading(get_stamp(message) or None if self._stamped else None,
+        return Reading(None if self._stamp is None else self._stamp.get(message),
                        tuple(a.get(message) for a in self.accessors),
                        all(a.absent(message) for a in self.accessors),
                        (None,) * len(self.accessors))
@@ -148,18 +145,51 @@ class Reader:
         ranks = [place.lack if place.offset is None else order.index(place.offset)
                  for place in places]
         count = len(self.accessors)
+        for i, place in enumerate(places[:count]):
+            self.aligned[i] |= place.aligned
         picks = tuple(Reason.of(rank, field=accessor.path) if isinstance(rank, str) else rank
                       for rank, accessor in zip(ranks, self.accessors))
+        stamp, counted, marks = self._others(ranks)
         first = len(order) - count
         plain = picks == tuple(range(first, len(order))) and set(self._letters[:count]) <= {*'fd'}
         layout = _Layout(end, _runs(raw, walk.marks), struct.Struct(form), picks,
-                         first if plain else None,
-                         (ranks[-2], ranks[-1]) if self._stamped else None,
+                         first if plain and not marks else None, stamp, counted, marks,
                          all(place.absent for place in places[:count]),
                          tuple(place.offset for place in places[:count]))
         if walk.marked <= LONGEST_LAYOUT:
             self._layouts = [layout, *self._layouts[:LAYOUTS - 1]]
         return layout
+
+    def _others(self, ranks: Sequence[int | str]) -> tuple[
+            tuple[int, int] | None, tuple[int, int] | None, tuple[_Mark, ...]]:
+        """Return from the ranks of all numbers those of the stamp and of the marks."""
+        rest = iter(ranks[len(self.accessors):])
+        pair = count = None
+        if self._stamp is not None:
+            at = [next(rest) for _ in self._stamp.numbers]
+            there = [rank for rank in at if isinstance(rank, int)]
+            if len(there) == len(at) and self._stamp.unit is None:
+                pair = there[0], there[1]
+            elif len(there) == len(at) and self._stamp.unit is not None:
+                count = there[0], self._stamp.unit
+        marks = []
+        for i, accessor in enumerate(self.accessors):
+            for mark in accessor.marks:
+                at = [next(rest) for _ in mark.looks_at]
+                there = [rank for rank in at if isinstance(rank, int)]
+                if len(there) == len(at) and isinstance(ranks[i], int):
+                    marks.append(_Mark(i, tuple(there), mark.disowns, Reason.of(
+                        DISOWNED, field=accessor.path, mark=mark.text)))
+        return pair, count, tuple(marks)
+
+
+class _Mark(NamedTuple):
+    """What says of a field whether it is a reading at all."""
+
+    field: int
+    ranks: tuple[int, ...]  # of the numbers that it looks at
+    disowns: Callable[..., bool]
+    reason: Reason
 
 
 class _Run(NamedTuple):
@@ -180,7 +210,9 @@ class _Layout(NamedTuple):
     numbers: struct.Struct  # of the fields and the stamp, in the order of their offsets
     picks: tuple[int | Reason, ...]  # of each field: its rank among the numbers, or its reason
     first: int | None  # rank of the first field, when they are just the last numbers, and floats
-    stamp: tuple[Any, Any] | None  # ranks of seconds and nanoseconds
+    stamp: tuple[int, int] | None  # ranks of seconds and nanoseconds
+    counted: tuple[int, int] | None  # or the rank of one number that is the stamp, and its unit
+    marks: tuple[_Mark, ...]
     foreign: bool
     offsets: tuple[int | None, ...]
 
@@ -202,11 +234,25 @@ class _Layout(NamedTuple):
         else:
             values = tuple([pick if isinstance(pick, Reason) else float(numbers[pick])
                             for pick in self.picks])
+            if self.marks:
+                values = self._owned(values, numbers)
         stamp = None
         if self.stamp is not None:
             seconds, nanoseconds = self.stamp
             stamp = numbers[seconds] * 1_000_000_000 + numbers[nanoseconds] or None
+        elif self.counted is not None:
+            rank, unit = self.counted
+            stamp = to_ns(numbers[rank], unit)
         return Reading(stamp, values, self.foreign, self.offsets)
+
+    def _owned(self, values: tuple[float | Reason, ...],
+               numbers: tuple[Any, ...]) -> tuple[float | Reason, ...]:
+        """Put the reason in the place of each value that the message disowns."""
+        for field, ranks, disowns, reason in self.marks:
+            if disowns(*[numbers[rank] for rank in ranks]) and \
+                    not isinstance(values[field], Reason):
+                values = (*values[:field], reason, *values[field + 1:])
+        return values
 
 
 def _runs(raw: bytes, marks: list[tuple[int, int]]) -> tuple[_Run, ...]:
@@ -374,28 +420,46 @@ class _Place(NamedTuple):
     offset: int | None
     lack: str = ''  # the reason, without the path
     absent: bool = False  # its name is not among the names there are
+    aligned: frozenset[str] = frozenset()  # of the arrays that its name is for, those with
+    # as many elements as there are names
 
 
 def _find(root: _Struct, walk: _Walk, steps: Sequence[Step]) -> _Place:
     struct_, at = root, _BODY
+    above = struct_, at
+    aligned: frozenset[str] = frozenset()
     for step in steps:
         begin, node = struct_.begin(walk, at, step.field), struct_.members[step.field]
         if isinstance(node, _Array):
             count, begin = node.open(walk, begin)
-            if step.names is None:
-                i = int(step.element or 0)
-            else:
-                names = struct_.members[step.names]
+            i = -1 if step.index is None else step.index
+            if step.names is not None:
+                owner, there = above if step.above else (struct_, at)
+                names, begins = owner.members[step.names], owner.begin(walk, there, step.names)
                 assert isinstance(names, _Array)
-                i = walk.names(names, struct_.begin(walk, at, step.names)).get(
-                    step.element or '', -1)
-                if i < 0:
-                    return _Place(None, NOT_THERE, absent=True)
+                if step.name is not None:
+                    i = walk.names(names, begins).get(step.name, -1)
+                    if i < 0:
+                        return _Place(None, NOT_THERE, absent=True)
+                aligned |= _aligned(struct_, walk, at, step, names.open(walk, begins)[0])
             if i >= count:
-                return _Place(None, TOO_SHORT if step is steps[-1] else NOT_THERE)
+                return _Place(None, TOO_SHORT if step is steps[-1] else NOT_THERE,
+                              aligned=aligned)
             begin, node = node.beyond(walk, begin, i), node.element
         if isinstance(node, _Number):
-            return _Place(begin + (_BODY - begin) % node.size)
+            return _Place(begin + (_BODY - begin) % node.size, aligned=aligned)
         assert isinstance(node, _Struct)
+        above = struct_, at
         struct_, at = node, begin
     raise AssertionError('unreachable: a path ends at a number')
+
+
+def _aligned(struct_: _Struct, walk: _Walk, at: int, step: Step, count: int) -> frozenset[str]:
+    """Return the arrays beside that of a step, and it itself, that have so many elements."""
+    return frozenset(field for field in columns(step.kind) if count and _count(
+        struct_.members[field], walk, struct_.begin(walk, at, field)) == count)
+
+
+def _count(node: _Node, walk: _Walk, at: int) -> int:
+    assert isinstance(node, _Array)
+    return node.open(walk, at)[0]

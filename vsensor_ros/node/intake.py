@@ -57,7 +57,7 @@ def commands_taker(command: Command, subscription: Subscription, engine: Engine,
                    ) -> tuple[Reader, Callable[[], int]]:
     """Return what takes the commands that have arrived, and the reader that it uses."""
     take, kind = taker(subscription), command.kind
-    reader = Reader(kind, [command.accessor.path])
+    reader = Reader(kind, [command.accessor], command.stamps)
 
     def take_commands() -> int:
         count = 0
