@@ -140,7 +140,7 @@ def test_a_time_that_is_not_filled_in():
     assert both(accessor, TimeReference, message) == 0.0
 
 
-def test_nothing_is_heard_of_types_without_marks():
+def test_types_without_marks_pay_nothing():
     for kind, path in ((Float64, 'data'), (Imu, 'angular_velocity_covariance[4]'),
                        (Range, 'field_of_view')):
         accessor = compile_accessor(kind, path)
@@ -168,8 +168,21 @@ def test_no_mark_stays_on_what_is_written(path, good, marked):
     for value in (0.25, 16.0):  # the latter is beyond the limits of a range
         remove(message, value)
         accessor.put(message, value)
-        remove(message, value)
         assert accessor.get(message) == value
+    unknown = decode(kind, serialize_message(marked))
+    remove(unknown, math.nan)  # nothing is supplied: it is still not there
+    assert unknown == marked
+
+
+def test_a_field_that_was_set_once_is_believed_in_every_layout():
+    kind, accessor = BatteryState, heeding(BatteryState, 'voltage')
+    reader = Reader(kind, [accessor])
+    out, other = battery(12.0, present=False), battery(12.0)
+    other.location = 'somewhere else'
+    for message, there in ((out, True), (other, True), (out, False), (battery(12.0), True),
+                           (out, False)):
+        value = reader.read(serialize_message(message)).values[0]
+        assert isinstance(value, float) is there
 
 
 def test_what_else_a_mark_was_on_becomes_nan():

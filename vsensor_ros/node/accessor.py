@@ -44,8 +44,14 @@ class Mark:
 
     text: str  # for people
     looks_at: tuple[Steps, ...]  # to the numbers that tell
-    disowns: Callable[..., bool]  # of these numbers
-    remove: Callable[[Any, float], None]  # from a message that has it, for what is written there
+    # of these numbers: the least and the largest value that is a reading
+    bounds: Callable[..., tuple[float, float]]
+    remove: Callable[[Any, float], None]  # from a message that has it, for what is to be written
+
+    def is_on(self, numbers: Sequence[float], value: float) -> bool:
+        """Tell whether these numbers make none of a value; NaN is none by itself."""
+        low, high = self.bounds(*numbers)
+        return value < low or value > high
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,17 @@ it, too), and a message in the message that cannot be read (what follows it is g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+import math
 import struct
 from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message, serialize_message
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.node.accessor import Accessor, NOT_THERE, TOO_SHORT
-from vsensor_ros.node.disowned import DISOWNED
+from vsensor_ros.node.accessor import Accessor, Mark, NOT_THERE, TOO_SHORT
+from vsensor_ros.node.disowned import DISOWNED, UNSURE
 from vsensor_ros.node.field_path import field_type, inner_type, Step
 from vsensor_ros.node.room import columns
 from vsensor_ros.node.stamp import compile_stamps, Stamp, to_ns
@@ -70,9 +71,10 @@ class Reader:
         self.accessors = tuple(accessors)
         self.aligned: list[set[str]] = [set() for _ in accessors]  # see `_Place`, of all so far
         self._stamp = next(iter(compile_stamps(kind) if stamps is None else stamps), None)
-        marks = [steps for a in accessors for mark in a.marks for steps in mark.looks_at]
+        self._marks = [[(mark, [_LETTERS[steps[-1].type.inner] for steps in mark.looks_at])
+                        for mark in a.marks] for a in accessors]
         stamp = [] if self._stamp is None else [n.steps for n in self._stamp.numbers]
-        self._steps = [*(a.steps for a in accessors), *stamp, *marks]
+        self._steps = [*(a.steps for a in accessors), *stamp]
         self._letters = [_LETTERS[steps[-1].type.inner] for steps in self._steps]
         self._root: _Struct | None
         try:
@@ -134,6 +136,7 @@ class Reader:
             if end > len(raw):
                 return None
             places = [_find(root, walk, steps) for steps in self._steps]
+            marks = self._find_marks(root, walk, places)
         except (_Broken, struct.error):  # the latter: a length that stands beyond the end
             return None
         letters = {place.offset: letter for place, letter in zip(places, self._letters)
@@ -149,47 +152,57 @@ class Reader:
             self.aligned[i] |= place.aligned
         picks = tuple(Reason.of(rank, field=accessor.path) if isinstance(rank, str) else rank
                       for rank, accessor in zip(ranks, self.accessors))
-        stamp, counted, marks = self._others(ranks)
+        pair = counted = None
+        times = [rank for rank in ranks[count:] if isinstance(rank, int)]
+        if self._stamp is not None and len(times) == len(self._stamp.numbers):
+            if self._stamp.unit is None:
+                pair = times[0], times[1]
+            else:
+                counted = times[0], self._stamp.unit
         first = len(order) - count
         plain = picks == tuple(range(first, len(order))) and set(self._letters[:count]) <= {*'fd'}
-        layout = _Layout(end, _runs(raw, walk.marks), struct.Struct(form), picks,
-                         first if plain and not marks else None, stamp, counted, marks,
-                         all(place.absent for place in places[:count]),
-                         tuple(place.offset for place in places[:count]))
+        layout = (_MarkedLayout if marks else _Layout)(
+            end, _runs(raw, walk.marks), struct.Struct(form), picks, first if plain else None,
+            pair, counted, marks, all(place.absent for place in places[:count]),
+            tuple(place.offset for place in places[:count]))
         if walk.marked <= LONGEST_LAYOUT:
             self._layouts = [layout, *self._layouts[:LAYOUTS - 1]]
         return layout
 
-    def _others(self, ranks: Sequence[int | str]) -> tuple[
-            tuple[int, int] | None, tuple[int, int] | None, tuple[_Mark, ...]]:
-        """Return from the ranks of all numbers those of the stamp and of the marks."""
-        rest = iter(ranks[len(self.accessors):])
-        pair = count = None
-        if self._stamp is not None:
-            at = [next(rest) for _ in self._stamp.numbers]
-            there = [rank for rank in at if isinstance(rank, int)]
-            if len(there) == len(at) and self._stamp.unit is None:
-                pair = there[0], there[1]
-            elif len(there) == len(at) and self._stamp.unit is not None:
-                count = there[0], self._stamp.unit
-        marks = []
+    def _find_marks(self, root: _Struct, walk: _Walk,
+                    places: Sequence[_Place]) -> tuple[_Marked, ...]:
+        """Return what says of the fields that are there whether they are readings at all."""
+        found = []
         for i, accessor in enumerate(self.accessors):
-            for mark in accessor.marks:
-                at = [next(rest) for _ in mark.looks_at]
-                there = [rank for rank in at if isinstance(rank, int)]
-                if len(there) == len(at) and isinstance(ranks[i], int):
-                    marks.append(_Mark(i, tuple(there), mark.disowns, Reason.of(
-                        DISOWNED, field=accessor.path, mark=mark.text)))
-        return pair, count, tuple(marks)
+            for mark, letters in self._marks[i] if places[i].offset is not None else ():
+                at = [_find(root, walk, steps).offset for steps in mark.looks_at]
+                offsets = [offset for offset in at if offset is not None]
+                if len(offsets) == len(at):
+                    found.append(_Marked(i, mark, Reason.of(
+                        DISOWNED, field=accessor.path, mark=mark.text), offsets, letters))
+        return tuple(found)
 
 
-class _Mark(NamedTuple):
-    """What says of a field whether it is a reading at all."""
+class _Marked:
+    """What says of a field whether it is a reading at all; remembered while its bytes stay."""
 
-    field: int
-    ranks: tuple[int, ...]  # of the numbers that it looks at
-    disowns: Callable[..., bool]
-    reason: Reason
+    __slots__ = ('_bounds', '_numbers', 'field', 'high', 'low', 'reason', 'seen', 'start', 'stop')
+
+    def __init__(self, field: int, mark: Mark, reason: Reason, offsets: Sequence[int],
+                 letters: Sequence[str]) -> None:
+        self.field, self.reason, self._bounds = field, reason, mark.bounds
+        self._numbers = [(struct.Struct('<' + letter), offset)
+                         for letter, offset in zip(letters, offsets)]
+        self.start = min(offsets, default=0)
+        self.stop = max((at + number.size for number, at in self._numbers), default=0)
+        self.seen: bytes | None = None
+        self.low = self.high = math.nan
+
+    def look(self, raw: bytes) -> None:
+        """Find out which values are readings, beside what a message says now."""
+        bounds = self._bounds(*[number.unpack_from(raw, at)[0] for number, at in self._numbers])
+        self.low, self.high = bounds
+        self.seen = None if bounds is UNSURE else bytes(raw[self.start:self.stop])
 
 
 class _Run(NamedTuple):
@@ -212,7 +225,7 @@ class _Layout(NamedTuple):
     first: int | None  # rank of the first field, when they are just the last numbers, and floats
     stamp: tuple[int, int] | None  # ranks of seconds and nanoseconds
     counted: tuple[int, int] | None  # or the rank of one number that is the stamp, and its unit
-    marks: tuple[_Mark, ...]
+    marks: tuple[_Marked, ...]
     foreign: bool
     offsets: tuple[int | None, ...]
 
@@ -234,8 +247,6 @@ class _Layout(NamedTuple):
         else:
             values = tuple([pick if isinstance(pick, Reason) else float(numbers[pick])
                             for pick in self.picks])
-            if self.marks:
-                values = self._owned(values, numbers)
         stamp = None
         if self.stamp is not None:
             seconds, nanoseconds = self.stamp
@@ -245,14 +256,23 @@ class _Layout(NamedTuple):
             stamp = to_ns(numbers[rank], unit)
         return Reading(stamp, values, self.foreign, self.offsets)
 
-    def _owned(self, values: tuple[float | Reason, ...],
-               numbers: tuple[Any, ...]) -> tuple[float | Reason, ...]:
-        """Put the reason in the place of each value that the message disowns."""
-        for field, ranks, disowns, reason in self.marks:
-            if disowns(*[numbers[rank] for rank in ranks]) and \
-                    not isinstance(values[field], Reason):
-                values = (*values[:field], reason, *values[field + 1:])
-        return values
+
+class _MarkedLayout(_Layout):
+    """The same where fields may be marked as not there; the others need not pay for it."""
+
+    __slots__ = ()
+
+    def read(self, raw: bytes) -> Reading:
+        """Read a message that is laid out like this."""
+        reading = _Layout.read(self, raw)  # super() takes its time
+        values = reading.values
+        for mark in self.marks:
+            if raw[mark.start:mark.stop] != mark.seen:
+                mark.look(raw)
+            value = values[mark.field]
+            if value.__class__ is float and (value < mark.low or value > mark.high):
+                values = (*values[:mark.field], mark.reason, *values[mark.field + 1:])
+        return reading if values is reading.values else reading._replace(values=values)
 
 
 def _runs(raw: bytes, marks: list[tuple[int, int]]) -> tuple[_Run, ...]:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+import math
 from typing import Any
 
 from vsensor_ros.node.accessor import Accessor, compile_holder, Mark, Steps
@@ -33,6 +34,8 @@ NOISE = -1e-9  # a computed variance may be a little below 0; a mark is -1
 LIMITS = {'range': ('min_range', 'max_range'), 'ranges': ('range_min', 'range_max')}
 MEASURED = ('voltage', 'temperature', 'current', 'charge', 'percentage')  # of a BatteryState
 DISOWNED = 'disowned'  # code of the reason
+ALL, NONE = (-math.inf, math.inf), (math.inf, -math.inf)  # the values that are readings
+UNSURE = (-math.inf, math.inf)  # all so far; what else the message says may be different next time
 
 
 def heed_marks(accessor: Accessor) -> Accessor:
@@ -41,42 +44,39 @@ def heed_marks(accessor: Accessor) -> Accessor:
                   for mark in find(accessor.steps))
     if not marks:
         return accessor
-    tests = [(_compile(mark), Reason.of(DISOWNED, field=accessor.path, mark=mark.text))
+    found = [(mark, _compile(mark), Reason.of(DISOWNED, field=accessor.path, mark=mark.text))
              for mark in marks]
 
     def get(message: Any) -> float | Reason:
         value = accessor.get(message)
         if isinstance(value, float):
-            for is_on, reason in tests:
-                if is_on(message):
+            for mark, numbers, reason in found:
+                if mark.is_on(numbers(message), value):
                     return reason
         return value
     return replace(accessor, get=get, marks=marks)
 
 
 def compile_remover(accessor: Accessor) -> Callable[[Any, float], None]:
-    """Return what takes the marks of a field from a message, for a value that it gets."""
-    tests = [(_compile(mark), mark.remove) for mark in accessor.marks]
+    """Return what takes the marks of a field from a message, before a value is written there."""
+    found = [(mark, _compile(mark)) for mark in accessor.marks]
 
     def remove(message: Any, value: float) -> None:
-        for is_on, take_away in tests:
-            if is_on(message):
-                take_away(message, value)
+        for mark, numbers in found:
+            there = numbers(message)
+            if None not in there and mark.is_on(there, value):
+                mark.remove(message, value)
     return remove
 
 
-def _compile(mark: Mark) -> Callable[[Any], bool]:
+def _compile(mark: Mark) -> Callable[[Any], list[Any]]:
     finders = [compile_holder(steps) for steps in mark.looks_at]
-
-    def is_on(message: Any) -> bool:
-        numbers = [find(message) for find in finders]
-        return None not in numbers and bool(mark.disowns(*numbers))
-    return is_on
+    return lambda message: [find(message) for find in finders]
 
 
-def negative(first: float, *own: float) -> bool:
-    """Tell whether one of some variances says that there is none."""
-    return first < NOISE or (bool(own) and any(variance < NOISE for variance in own))
+def not_negative(first: float, *own: float) -> tuple[float, float]:
+    """Return what is a reading beside some variances; a negative one says that there is none."""
+    return NONE if first < NOISE or any(variance < NOISE for variance in own) else ALL
 
 
 def _covariance(steps: Steps) -> list[Mark]:
@@ -101,7 +101,7 @@ def _covariance(steps: Steps) -> list[Mark]:
 
     return [Mark(f'{matrix.field} is negative', tuple(
         (*matrix.holder, step_into(kind, matrix.field, place)) for place in places),
-        negative, remove)]
+        not_negative, remove)]
 
 
 def _variance(steps: Steps) -> list[Mark]:
@@ -113,7 +113,7 @@ def _variance(steps: Steps) -> list[Mark]:
         find(message).variance = 0.0  # not known
 
     return [Mark('variance is negative', ((*steps[:-1], step_into(steps[-1].kind, 'variance')),),
-                 negative, remove)]
+                 not_negative, remove)]
 
 
 def _limits(steps: Steps) -> list[Mark]:
@@ -131,13 +131,13 @@ def _limits(steps: Steps) -> list[Mark]:
         elif value > getattr(holder, high):
             setattr(holder, high, value)
 
-    numbers = (steps, *((*before, step_into(step.kind, limit)) for limit in (low, high)))
-    return [Mark(f'beyond {low} and {high}', numbers, beyond, remove)]
+    limits = tuple((*before, step_into(step.kind, limit)) for limit in (low, high))
+    return [Mark(f'beyond {low} and {high}', limits, within, remove)]
 
 
-def beyond(value: float, low: float, high: float) -> bool:
-    """Tell whether a range is outside its limits; equal ones were not filled in."""
-    return low < high and (value < low or value > high)
+def within(low: float, high: float) -> tuple[float, float]:
+    """Return what is a reading between two limits; equal ones were not filled in."""
+    return (low, high) if low < high else ALL
 
 
 def _fix(steps: Steps) -> list[Mark]:
@@ -150,8 +150,8 @@ def _fix(steps: Steps) -> list[Mark]:
     find, was_set = compile_holder(steps[:-1]), _Once()
     no_fix, fix = status.STATUS_NO_FIX, status.STATUS_FIX
 
-    def lost(status: float) -> bool:
-        return status == no_fix or was_set.but_not(status >= fix)
+    def found(status: float) -> tuple[float, float]:
+        return NONE if status == no_fix else was_set.judge(status >= fix)
 
     def remove(message: Any, value: float) -> None:
         holder = find(message)
@@ -159,7 +159,7 @@ def _fix(steps: Steps) -> list[Mark]:
         _forget(holder, GEODETIC.keys() & fields.keys())
 
     return [Mark('status: no fix', ((*steps[:-1], step_into(last.kind, 'status'),
-                                     step_into(status, 'status')),), lost, remove)]
+                                     step_into(status, 'status')),), found, remove)]
 
 
 def _battery(steps: Steps) -> list[Mark]:
@@ -176,7 +176,7 @@ def _battery(steps: Steps) -> list[Mark]:
         _forget(holder, MEASURED)
 
     return [Mark('present: false', ((*steps[:-1], step_into(last.kind, 'present')),),
-                 lambda present: was_set.but_not(bool(present)), remove)]
+                 was_set.judge, remove)]
 
 
 def _time(steps: Steps) -> list[Mark]:
@@ -186,14 +186,15 @@ def _time(steps: Steps) -> list[Mark]:
         return []
     return [Mark('a time of 0', tuple((*steps[:-1], step_into(kind, field))
                                       for field in ('sec', 'nanosec')),
-                 lambda seconds, nanoseconds: seconds == nanoseconds == 0, _nothing)]
+                 lambda seconds, nanoseconds: ALL if seconds or nanoseconds else NONE,
+                 _nothing)]
 
 
 def _cell(steps: Steps) -> list[Mark]:
     last = steps[-1]
     if last.kind.__name__ != 'OccupancyGrid' or last.field != 'data':
         return []
-    return [Mark('an unknown cell', (steps,), lambda cell: cell == -1, _nothing)]
+    return [Mark('an unknown cell', (), lambda: (0.0, math.inf), _nothing)]
 
 
 class _Once:
@@ -202,16 +203,16 @@ class _Once:
     def __init__(self) -> None:
         self.set = False
 
-    def but_not(self, now: bool) -> bool:
-        """Tell whether it was set before and is not now."""
+    def judge(self, now: bool) -> tuple[float, float]:
+        """Return what is a reading while it is set, or is not."""
         self.set = self.set or now
-        return self.set and not now
+        return ALL if now else NONE if self.set else UNSURE
 
 
 def _forget(holder: Any, fields: Iterable[str]) -> None:
     for field in fields:
-        setattr(holder, field, float('nan'))
+        setattr(holder, field, math.nan)
 
 
 def _nothing(message: Any, value: float) -> None:
-    """There is nothing to take away: the number itself is the mark."""
+    """Take nothing away: the number itself is the mark."""

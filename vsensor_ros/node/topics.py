@@ -112,11 +112,9 @@ class Topic:
         accessor = self.sensors[i].accessor
         if isinstance(field, Substitute):
             set_variance = self._set_variance[i]
-            if set_variance is not None:
+            if set_variance is not None and not math.isnan(field.value):
                 set_variance(message, field.deviation)
-            problem = accessor.put(message, field.value)
-            self._remove_marks[i](message, field.value)  # one may be on what is written
-            return problem
+            return accessor.put(message, field.value)
         if field is not None:
             return accessor.put(message, field)
         if isinstance(accessor.get(message), float):
