@@ -16,7 +16,6 @@ it, too), and a message in the message that cannot be read (what follows it is g
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 import math
 import struct
 from typing import Any, NamedTuple
@@ -24,24 +23,26 @@ from typing import Any, NamedTuple
 from rclpy.serialization import deserialize_message, serialize_message
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.node.accessor import Accessor, Mark, NOT_THERE, TOO_SHORT
+from vsensor_ros.node.accessor import Accessor, Mark
+from vsensor_ros.node.cdr_walk import (
+    BODY,
+    Broken,
+    compile_structure,
+    find_place,
+    LETTERS,
+    LONGEST_LAYOUT,
+    Place,
+    Struct,
+    Walk,
+)
 from vsensor_ros.node.disowned import DISOWNED, UNSURE
-from vsensor_ros.node.field_path import field_type, inner_type, Step
-from vsensor_ros.node.room import columns
 from vsensor_ros.node.stamp import compile_stamps, Stamp, to_ns
 from vsensor_ros.reason import Reason
 
 LAYOUTS = 16  # kept of one topic: so many drivers may share it and stay cheap
-LONGEST_LAYOUT = 2**16  # bytes that settle it; longer ones are walked through every time
 NEAR = 16  # bytes between two stretches that are cheaper compared as one
 
 _LITTLE_ENDIAN = b'\x00\x01'
-_BODY = 4  # where the bytes begin that alignment counts from
-_LETTERS = {'boolean': '?', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H',
-            'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float': 'f', 'double': 'd'}
-_SIZES = {'octet': 1,
-          **{kind: struct.calcsize('<' + letter) for kind, letter in _LETTERS.items()}}
-_LENGTH = struct.Struct('<I')
 
 
 class Reading(NamedTuple):
@@ -69,16 +70,16 @@ class Reader:
         """Read these fields of a message class; stamps: its, the first counts; the header's."""
         self.kind = kind
         self.accessors = tuple(accessors)
-        self.aligned: list[set[str]] = [set() for _ in accessors]  # see `_Place`, of all so far
+        self.aligned: list[set[str]] = [set() for _ in accessors]  # of all so far, see `Place`
         self._stamp = next(iter(compile_stamps(kind) if stamps is None else stamps), None)
-        self._marks = [[(mark, [_LETTERS[steps[-1].type.inner] for steps in mark.looks_at])
+        self._marks = [[(mark, [LETTERS[steps[-1].type.inner] for steps in mark.looks_at])
                         for mark in a.marks] for a in accessors]
         stamp = [] if self._stamp is None else [n.steps for n in self._stamp.numbers]
         self._steps = [*(a.steps for a in accessors), *stamp]
-        self._letters = [_LETTERS[steps[-1].type.inner] for steps in self._steps]
-        self._root: _Struct | None
+        self._letters = [LETTERS[steps[-1].type.inner] for steps in self._steps]
+        self._root: Struct | None
         try:
-            self._root = _compile(kind)
+            self._root = compile_structure(kind)
         except (BadInput, KeyError):  # a type inside that is not installed, or not known here
             self._root = None
         self._layouts: list[_Layout] = []
@@ -128,16 +129,16 @@ class Reader:
                        all(a.absent(message) for a in self.accessors),
                        (None,) * len(self.accessors))
 
-    def _walk(self, root: _Struct, raw: bytes) -> _Layout | None:
+    def _walk(self, root: Struct, raw: bytes) -> _Layout | None:
         """Find out how a message is laid out, or that it is none."""
-        walk = _Walk(raw)
+        walk = Walk(raw)
         try:
-            end = root.begins(walk, _BODY)[-1]
+            end = root.begins(walk, BODY)[-1]
             if end > len(raw):
                 return None
-            places = [_find(root, walk, steps) for steps in self._steps]
+            places = [find_place(root, walk, steps) for steps in self._steps]
             marks = self._find_marks(root, walk, places)
-        except (_Broken, struct.error):  # the latter: a length that stands beyond the end
+        except (Broken, struct.error):  # the latter: a length that stands beyond the end
             return None
         letters = {place.offset: letter for place, letter in zip(places, self._letters)
                    if place.offset is not None}
@@ -169,13 +170,13 @@ class Reader:
             self._layouts = [layout, *self._layouts[:LAYOUTS - 1]]
         return layout
 
-    def _find_marks(self, root: _Struct, walk: _Walk,
-                    places: Sequence[_Place]) -> tuple[_Marked, ...]:
+    def _find_marks(self, root: Struct, walk: Walk,
+                    places: Sequence[Place]) -> tuple[_Marked, ...]:
         """Return what says of the fields that are there whether they are readings at all."""
         found = []
         for i, accessor in enumerate(self.accessors):
             for mark, letters in self._marks[i] if places[i].offset is not None else ():
-                at = [_find(root, walk, steps).offset for steps in mark.looks_at]
+                at = [find_place(root, walk, steps).offset for steps in mark.looks_at]
                 offsets = [offset for offset in at if offset is not None]
                 if len(offsets) == len(at):
                     found.append(_Marked(i, mark, Reason.of(
@@ -292,194 +293,3 @@ def _runs(raw: bytes, marks: list[tuple[int, int]]) -> tuple[_Run, ...]:
         mask, seen = int.from_bytes(cover, 'little'), raw[first:last]
         runs.append(_Run(first, last, seen, mask, int.from_bytes(seen, 'little') & mask))
     return tuple(runs)
-
-
-class _Broken(Exception):
-    """A sequence is longer than its type allows."""
-
-
-class _Walk:
-    """The way through one message: its work is bounded by the bytes of lengths there are."""
-
-    def __init__(self, raw: bytes) -> None:
-        self.raw = raw
-        self.marks: list[tuple[int, int]] = []  # [start, stop) that settle it, while it is short
-        self.marked = 0
-        self.begins: dict[tuple[_Struct, int], list[int]] = {}
-        self.indices: dict[int, dict[str, int]] = {}
-
-    def mark(self, start: int, stop: int) -> None:
-        self.marked += stop - start
-        if self.marked <= LONGEST_LAYOUT:
-            self.marks.append((start, stop))
-
-    def length(self, at: int, most: int | None = None) -> tuple[int, int]:
-        """Return the length at an offset (beyond the end?) and where what it counts begins."""
-        at += -at % 4
-        length: int = _LENGTH.unpack_from(self.raw, at)[0]
-        self.mark(at, at + 4)
-        if most is not None and length > most:
-            raise _Broken
-        return length, at + 4
-
-    def names(self, array: _Array, at: int) -> dict[str, int]:
-        """Return the index of each name in the array of strings at an offset."""
-        if at not in self.indices:
-            indices: dict[str, int] = {}
-            count, here = array.open(self, at)
-            for i in range(count):
-                length, start = self.length(here)
-                here = start + length
-                self.mark(start, here)
-                text = self.raw[start:here].split(b'\0')[0]
-                indices.setdefault(text.decode('utf-8', 'replace'), i)
-            self.indices[at] = indices
-        return self.indices[at]
-
-
-class _Number:
-    varies: bool = False
-
-    def __init__(self, size: int) -> None:
-        self.size = size
-
-    def skip(self, walk: _Walk, at: int) -> int:
-        return at + (_BODY - at) % self.size + self.size
-
-
-class _Text:
-    varies: bool = True
-
-    def skip(self, walk: _Walk, at: int) -> int:
-        length, at = walk.length(at)
-        return at + length
-
-
-class _Struct:
-
-    def __init__(self, members: dict[str, _Node]) -> None:
-        self.members = members
-        self.varies: bool = any(member.varies for member in members.values())
-
-    def skip(self, walk: _Walk, at: int) -> int:
-        for member in self.members.values():
-            at = member.skip(walk, at)
-        return at
-
-    def begins(self, walk: _Walk, at: int) -> list[int]:
-        """Return where each field of the struct at an offset begins (unaligned), and its end."""
-        begins = walk.begins.get((self, at))
-        if begins is None:
-            begins = walk.begins[self, at] = [at]
-            for member in self.members.values():
-                begins.append(member.skip(walk, begins[-1]))
-        return begins
-
-    def begin(self, walk: _Walk, at: int, field: str) -> int:
-        """Return where a field of the struct at an offset begins, before it is aligned."""
-        return self.begins(walk, at)[list(self.members).index(field)]
-
-
-class _Array:
-
-    def __init__(self, element: _Node, is_sequence: bool, size: int | None) -> None:
-        self.element, self.is_sequence, self.size = element, is_sequence, size
-        self.varies: bool = is_sequence or element.varies
-
-    def open(self, walk: _Walk, at: int) -> tuple[int, int]:
-        """Return how many elements there are and where the first begins."""
-        return walk.length(at, self.size) if self.is_sequence else (self.size or 0, at)
-
-    def skip(self, walk: _Walk, at: int) -> int:
-        count, at = self.open(walk, at)
-        return self.beyond(walk, at, count)
-
-    def beyond(self, walk: _Walk, at: int, count: int) -> int:
-        """Return where so many elements end that begin at an offset."""
-        element = self.element
-        if element.varies:
-            for _ in range(count):
-                at = element.skip(walk, at)
-            return at
-        seen: dict[int, tuple[int, int]] = {}  # by alignment: the count and the offset there
-        while count and at % 8 not in seen:
-            seen[at % 8] = count, at
-            at, count = element.skip(walk, at), count - 1
-        if count:  # from here on it repeats
-            before, there = seen[at % 8]
-            rounds, count = divmod(count, before - count)
-            at += rounds * (at - there)
-            for _ in range(count):
-                at = element.skip(walk, at)
-        return at
-
-
-_Node = _Number | _Text | _Struct | _Array
-
-
-@cache
-def _compile(kind: Any) -> _Struct:
-    """Return the structure of a message class. Raises KeyError, BadInput for what is not known."""
-    members: dict[str, _Node] = {}
-    for field, text in kind.get_fields_and_field_types().items():
-        of = field_type(text)
-        node: _Node
-        if of.inner == 'string':
-            node = _Text()
-        elif '/' in of.inner:
-            node = _compile(inner_type(of.inner))
-        else:
-            node = _Number(_SIZES[of.inner])
-        members[field] = _Array(node, of.is_sequence, of.size) if of.is_array else node
-    return _Struct(members or {'': _Number(1)})  # a message without fields takes a byte
-
-
-class _Place(NamedTuple):
-    """Where a number stands, or why there is none."""
-
-    offset: int | None
-    lack: str = ''  # the reason, without the path
-    absent: bool = False  # its name is not among the names there are
-    aligned: frozenset[str] = frozenset()  # of the arrays that its name is for, those with
-    # as many elements as there are names
-
-
-def _find(root: _Struct, walk: _Walk, steps: Sequence[Step]) -> _Place:
-    struct_, at = root, _BODY
-    above = struct_, at
-    aligned: frozenset[str] = frozenset()
-    for step in steps:
-        begin, node = struct_.begin(walk, at, step.field), struct_.members[step.field]
-        if isinstance(node, _Array):
-            count, begin = node.open(walk, begin)
-            i = -1 if step.index is None else step.index
-            if step.names is not None:
-                owner, there = above if step.above else (struct_, at)
-                names, begins = owner.members[step.names], owner.begin(walk, there, step.names)
-                assert isinstance(names, _Array)
-                if step.name is not None:
-                    i = walk.names(names, begins).get(step.name, -1)
-                    if i < 0:
-                        return _Place(None, NOT_THERE, absent=True)
-                aligned |= _aligned(struct_, walk, at, step, names.open(walk, begins)[0])
-            if i >= count:
-                return _Place(None, TOO_SHORT if step is steps[-1] else NOT_THERE,
-                              aligned=aligned)
-            begin, node = node.beyond(walk, begin, i), node.element
-        if isinstance(node, _Number):
-            return _Place(begin + (_BODY - begin) % node.size, aligned=aligned)
-        assert isinstance(node, _Struct)
-        above = struct_, at
-        struct_, at = node, begin
-    raise AssertionError('unreachable: a path ends at a number')
-
-
-def _aligned(struct_: _Struct, walk: _Walk, at: int, step: Step, count: int) -> frozenset[str]:
-    """Return the arrays beside that of a step, and it itself, that have so many elements."""
-    return frozenset(field for field in columns(step.kind) if count and _count(
-        struct_.members[field], walk, struct_.begin(walk, at, field)) == count)
-
-
-def _count(node: _Node, walk: _Walk, at: int) -> int:
-    assert isinstance(node, _Array)
-    return node.open(walk, at)[0]
