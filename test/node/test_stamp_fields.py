@@ -3,6 +3,7 @@
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 import pytest
+from rcl_interfaces.msg import ParameterValue
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Range, TimeReference
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -58,6 +59,14 @@ def test_a_number_of_a_unit():
     assert problem.code == 'does not fit'
 
 
+def test_every_nanosecond_counts():
+    stamp, = compile_stamps(ParameterValue, 'integer_value', 'ns')
+    time = 1_795_969_057_488_063_567
+    message = ParameterValue(integer_value=time)
+    assert read(ParameterValue, 'double_value', [stamp], message) == time
+    assert stamp.put(message, time + 1) is None and message.integer_value == time + 1
+
+
 def test_an_element_that_is_not_there_is_not_stamped():
     stamp, = compile_stamps(Float64MultiArray, DIM, 'ms')
     empty = Float64MultiArray(data=[1.0])
@@ -107,29 +116,47 @@ def wired(parameters, name, kind, field, **more):
 
 
 def test_a_time_without_a_header(rig, parameters):
-    """A clock of 1000 s at the start fits into milliseconds of uint32."""
-    r = rig(wired(parameters, 'y2', ARRAY, 'data[0]', stamp=f'{DIM}, {OFFSET}', stamp_unit='ms'))
-    heard = r.listen(ARRAY, '/y2')
+    """Such as px4 has it: microseconds in an integer of 64 bits, beside the numbers."""
+    r = rig(wired(parameters, 'y2', 'rcl_interfaces/msg/ParameterValue', 'double_value',
+                  stamp='integer_value', stamp_unit='us'))
+    heard = r.listen('rcl_interfaces/msg/ParameterValue', '/y2')
 
     def send(value):
-        ms = (r.now + 10_000_000) // 1_000_000
-        r.step(r.healthy()[0], ('/y2_raw', array(value, milliseconds=ms)), r.healthy()[2])
+        stamp = (r.now + 10_000_000) // 1000
+        r.step(r.healthy()[0], ('/y2_raw', ParameterValue(
+            double_value=value, integer_value=stamp)), r.healthy()[2])
 
     for _ in range(5):
         send(1.0)
-    late = array(9.0, milliseconds=r.now // 1_000_000)  # a reading of the same time as the last
-    r.step(('/y2_raw', late))
+    again = ParameterValue(double_value=9.0, integer_value=r.now // 1000)
+    before = r.taken['/y2_raw']
+    r.publisher(ParameterValue, '/y2_raw').publish(again)
+    assert r.spin_until(lambda: r.taken['/y2_raw'] > before)
     assert ('y2', 'duplicate stamp') in r.counts
     r.isolate('y2')
     before = len(heard)
     for _ in range(10):
         send(99.0)
-    made = [decode(Float64MultiArray, raw) for raw in heard[before:]]
-    stamps = [m.layout.dim[0].size for m in made]
-    assert len(made) >= 10 and all(m.data[0] == 1.0 for m in made)
-    assert all(a < b for a, b in zip(stamps, stamps[1:]))
-    assert stamps[-1] == r.now // 1_000_000
-    assert all(m.layout.data_offset == m.layout.dim[0].size for m in made)
+    assert r.spin_until(lambda: len(heard) >= before + 10)
+    made = [decode(ParameterValue, raw) for raw in heard[before:]]
+    stamps = [m.integer_value for m in made]
+    assert all(m.double_value == 1.0 for m in made)
+    assert all(a < b for a, b in zip(stamps, stamps[1:])) and stamps[-1] == r.now // 1000
+
+
+def test_two_times_without_a_header(rig, parameters):
+    """A clock of 1000 s at the start fits into milliseconds of uint32."""
+    r = rig(wired(parameters, 'y2', ARRAY, 'data[0]', stamp=f'{DIM}, {OFFSET}', stamp_unit='ms'))
+    heard = r.listen(ARRAY, '/y2')
+    for value in [1.0] * 5 + [99.0] * 5:
+        if value == 99.0:
+            r.isolate('y2')
+        r.step(r.healthy()[0], ('/y2_raw', array(
+            value, milliseconds=(r.now + 10_000_000) // 1_000_000)), r.healthy()[2])
+    assert r.spin_until(lambda: len(heard) >= 10)
+    made = decode(Float64MultiArray, heard[-1])
+    assert made.data[0] == 1.0
+    assert made.layout.data_offset == made.layout.dim[0].size == r.now // 1_000_000
 
 
 def test_poses_in_a_path_get_the_stamp_of_the_estimate(rig, parameters):
