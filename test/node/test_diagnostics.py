@@ -24,7 +24,7 @@ OK, WARN, ERROR, STALE = (DiagnosticStatus.OK, DiagnosticStatus.WARN, Diagnostic
                           DiagnosticStatus.STALE)
 NAN = math.nan
 REAL = ChannelState('y2', '/y2', 'rad', 'real', None, (), '', 1.5, 0.0, None, 0.0, 0, NAN, NAN,
-                    0.0, False, NAN, NAN, NAN, None, False, 0, 0, {}, 100)
+                    0.0, False, NAN, NAN, NAN, None, False, 0, 0, {}, 100, None)
 ENGINE = EngineState((), (), (), ticks=10, left_out=0, estimates=0, jumps={}, starts=0, still=0.0)
 ISOLATED, CONVERGING = Reason('isolated'), Reason.of('converging', seconds=2.3)
 

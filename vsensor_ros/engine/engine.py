@@ -322,7 +322,12 @@ class Engine:
         return any(stream.heard(name) for stream in self._streams for name in stream.names)
 
     def snapshot(self, steady: float) -> EngineState:
-        """Return how everything is; steady: now, by a clock that never jumps."""
+        """
+        Return how everything is; steady: now, by a clock that never jumps.
+
+        What is said of the virtual sensors is as of their last step: while all sensors are healthy
+        that may be some ticks ago.
+        """
         still = steady - self._moved if self._clock.simulated else 0.0
         faulty = tuple(s for s in self._design.sensors if s in self._switch.faulty)
         counts = _by_channel(self._intake.counts().items())
@@ -379,7 +384,9 @@ class Engine:
             _seconds(channel.since, lasting), channel.virtual_time(lasting) * 1e-9,
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
-            self._bank.outside_region(key, name), 0, 0, {}, channel.readings)
+            self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
+            stream.never_seen or self._switch.reserve(name, self._stand_in.ready,
+                                                      self._stand_in.why_not))
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:

@@ -40,6 +40,7 @@ class ChannelState:
     restarts: int  # of its virtual sensors, because a state became infinite
     counts: Mapping[Reason, int]  # what was not used or not sent on
     readings: int  # that came in
+    reserve: Reason | None  # why nobody could speak for it if it failed now; None: one could
 
 
 @dataclass(frozen=True)

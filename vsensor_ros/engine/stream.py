@@ -194,6 +194,12 @@ class Stream:
             return Reason.of('useless messages', topic=topic, why=reason)
         return Reason.of('nothing comes', topic=topic)
 
+    @property
+    def never_seen(self) -> Reason | None:
+        """Why no message could be composed, because there is none to begin with; None: it could."""
+        return NEVER_SEEN if self.plan.stamped and all(
+            sender.template is None for sender in self.senders.all) else None
+
     def driver_silence(self, name: str) -> Reason | None:
         """Return for how long a channel's driver has been silent, None when it is not."""
         sender = self.senders.of(name)

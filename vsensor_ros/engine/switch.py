@@ -219,9 +219,7 @@ class Switch:
         if len(recovering) < len(self.recovering):
             return replace(self, recovering=recovering, told=None).decide(time, ready, why_not)
         lost = self._lost(time, ready)
-
-        def may_serve(key: FaultSet, channel: str) -> bool:
-            return key not in lost.get(channel, ()) and ready(key, channel)
+        may_serve = _unless_lost(lost, ready)
         faulty, ended, blocked = self._force(may_serve)
         lost = {s: keys for s, keys in lost.items() if s in faulty}
         may = {s: self._candidates(faulty, s) for s in self.sensors if s in faulty}
@@ -237,6 +235,18 @@ class Switch:
         decisions = {s: new._decision(s, *servers.get(s, _REAL), blocked, why_not)
                      for s in self.sensors}
         return replace(new, decisions=decisions)
+
+    def reserve(self, name: str, ready: Ready, why_not: WhyNot) -> Reason | None:
+        """
+        Return why nobody could speak for a sensor if isolation reported it now; None: one could.
+
+        It is decided as in `decide`, for all that are faulty now and this sensor.
+        """
+        faulty = self.faulty | {name}
+        failing = replace(self, faulty=faulty, reported=self.reported | {name})
+        source, _ = failing._choose(name, failing._candidates(faulty, name), len(faulty),
+                                    _unless_lost(self.lost, ready))
+        return None if source is Source.VIRTUAL else failing._lack(name, faulty, why_not)
 
     # --------------------------------------------------------------------------- what follows
 
@@ -390,6 +400,13 @@ class Switch:
             policy = self.policies[name]
             return Reason.of(_RECOVERY[policy.recovery], dwell=policy.dwell)
         return Reason('forced')
+
+
+def _unless_lost(lost: Mapping[str, Mapping[FaultSet, int | None]], ready: Ready) -> Ready:
+    """Return who may serve: those that are ready, but not who was given up and has to wait."""
+    def may_serve(key: FaultSet, channel: str) -> bool:
+        return key not in lost.get(channel, ()) and ready(key, channel)
+    return may_serve
 
 
 def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:

@@ -237,6 +237,8 @@ def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
         'readings_hz': number(rate),
         'not_used': sum(channel.counts.values()),
         'reason': channel.reason or '',
+        'reserve': 'ready' if channel.reserve is None else 'not ready',
+        'reserve_reason': channel.reserve or '',
     }
 
 
