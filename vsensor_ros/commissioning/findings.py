@@ -32,10 +32,10 @@ class Finding:
     topics: tuple[str, ...]  # that it is about; () when about none
     channel: str  # that it is about alone; '' when about none, or all of the topic
     problem: str
-    mend: str
+    mend: str  # '' when the problem says it
 
     def __str__(self) -> str:
-        return f'{self.problem}; {self.mend}'
+        return f'{self.problem}; {self.mend}' if self.mend else self.problem
 
 
 class Party(Protocol):
@@ -107,7 +107,7 @@ class World:
     max_age: Mapping[str, float]  # s, by sensor
     silent_is_faulty: bool  # of every sensor, so that isolation is not needed
     simulated: bool  # use_sim_time
-    clock_heard: int  # messages on /clock
+    clock_moves: bool  # /clock was heard, and went on
     clock_publishers: tuple[str, ...]
 
     def strangers(self) -> dict[str, str]:
@@ -128,9 +128,9 @@ def judge(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list[F
 def judge_clock(world: World) -> list[Finding]:
     """Return what is wrong with the time."""
     who = ', '.join(world.clock_publishers)
-    if world.simulated and not world.clock_heard:
+    if world.simulated and not world.clock_moves:
         return [Finding(FAIL, ('/clock',), '', 'use_sim_time is true, but ' + (
-            f'{who} says nothing on /clock' if who else 'nobody publishes /clock'),
+            f'/clock of {who} stands still' if who else 'nobody publishes /clock'),
             'start the simulation or the recording, or set use_sim_time: false')]
     if not world.simulated and who:
         return [Finding(WARN, ('/clock',), '', f'{who} publishes /clock, but use_sim_time is '
@@ -159,14 +159,15 @@ def _published(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> l
     if right and not found and use.heard is not None and not use.heard.count:
         who = ', '.join(dict.fromkeys(p.node for p in right))
         found.append(Finding(
-            FAIL, (use.topic,), '', f'{_called(use)} was never heard in {world.seconds:.0f} s: '
-            f'{who} is on {use.topic}, but says nothing', f'look at it: ros2 topic hz {use.topic}'
+            FAIL, (use.topic,), '', f'{_never(use)} in {world.seconds:.0f} s: {who} is there, but '
+            'says nothing', f'look at it: ros2 topic hz {use.topic}'
             if use.role == INPUT else 'command it once, or have it repeated'))
     return found
 
 
-def _called(use: Use) -> str:
-    return ', '.join(use.channels) or use.role
+def _never(use: Use) -> str:
+    have = 'were' if len(use.channels) > 1 else 'was'
+    return f'{", ".join(use.channels)} {have} never heard on {use.topic}'
 
 
 def _nobody(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> Finding:
@@ -176,9 +177,8 @@ def _nobody(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> Find
         drivers = [p.node for p in output.publishers if p.node != world.node]
         if drivers:
             return Finding(
-                FAIL, (use.topic, use.output), '', f'{_called(use)} was never heard on '
-                f'{use.topic}: {", ".join(drivers)} publishes on {use.output} itself',
-                f'remap it there: --ros-args -r {use.output}:={use.topic}')
+                FAIL, (use.topic, use.output), '', f'{_never(use)}: {", ".join(drivers)} publishes '
+                f'on {use.output} itself', f'remap it there: --ros-args -r {use.output}:={use.topic}')
     near = nearest_topic(use.topic, world.strangers(), use.type)
     if use.role == ISOLATION:
         return Finding(
@@ -187,8 +187,9 @@ def _nobody(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> Find
             f'did you mean {near}?' if near else 'start the fault isolation, or set '
             'isolation.topic to where it speaks')
     mend = 'start its driver' if use.role == INPUT else 'start whoever commands it'
-    return Finding(FAIL, (use.topic,), '', f'{_called(use)} was never heard on {use.topic}: nobody '
-                   'publishes there', f'did you mean {near}?' if near else
+    if near:
+        return Finding(FAIL, (use.topic,), '', _never(use), f'did you mean {near}?')
+    return Finding(FAIL, (use.topic,), '', f'{_never(use)}: nobody publishes there',
                    f'{mend}, or correct the topic')
 
 
@@ -257,7 +258,7 @@ def _stamps(use: Use, world: World) -> list[Finding]:
     if age > LATE:
         return say(WARN, f'{_time(age)} late', 'let both computers keep the same time (chrony), or '
                    'find what delays it')
-    if spread > LATE:
+    if spread > max(LATE, oldest / 2.0 if math.isfinite(oldest) else 0.0):
         return say(WARN, f'uneven: {_time(age)} +- {_time(spread)} old', 'stamp when it is '
                    'measured, and find what delays it')
     return []

@@ -37,21 +37,44 @@ class Mute:
         return 0
 
 
+class Notebook:
+    """Stands in for a logger: keeps what is said, by level."""
+
+    def __init__(self) -> None:
+        self.errors: dict[str, None] = {}  # each once
+
+    def error(self, text: str, **options: Any) -> None:
+        """Keep it."""
+        self.errors[text] = None
+
+    fatal = error
+
+    def warning(self, text: str, **options: Any) -> None:
+        """Let it go: what is worth a warning is found otherwise."""
+
+    warn = info = debug = warning
+
+
 class SilentNode(Node):
     """
     A node without a publisher or a service, /rosout and /parameter_events included.
 
-    `muted` holds what would have been opened, by resolved topic.
+    `muted` holds what would have been opened, by resolved topic; `notebook` what would be logged.
     """
 
     def __init__(self, name: str, context: Context, namespace: str = '',
                  overrides: Sequence[Parameter] = (), global_arguments: bool = True) -> None:
         self.muted: dict[str, Mute] = {}
+        self.notebook = Notebook()
         super().__init__(
             name, context=context, namespace=namespace, use_global_arguments=global_arguments,
             enable_rosout=False, start_parameter_services=False,
             parameter_overrides=[*overrides, QUIETLY],
             automatically_declare_parameters_from_overrides=True)
+
+    def get_logger(self) -> Any:
+        """Return what keeps the errors to itself."""
+        return self.notebook
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any,
                          **options: Any) -> Any:
