@@ -17,6 +17,7 @@ from vsensor_ros.commissioning.units import units_of
 from vsensor_ros.node.accessor import field_type, message_type, NAME_ARRAYS, trace
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.polling import drain, LISTEN, Polled, subscribe
+from vsensor_ros.node.topics import SPEAK
 
 SETTLED = 1.0  # s without a new topic after which all are taken to be found
 LONGEST = 10.0  # s that may be listened beyond what was asked for, while topics turn up
@@ -142,7 +143,7 @@ def look_around(node: Node, seconds: float) -> Surroundings:
         now = time.monotonic()
     for topic in topics.values():
         topic.publishers = publishers(node, topic.name)
-        topic.listeners = listeners(node, topic.name)
+        topic.listeners = listeners(node, topic.name, SPEAK)
     return Surroundings(topics, _isolations(node), bool(node.count_publishers('/clock')),
                         _replacers(node), tuple(strange))
 

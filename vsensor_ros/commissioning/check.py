@@ -102,7 +102,7 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
                          '') for said in node.notebook.errors]
     if state.faulty:
         findings.append(Finding(
-            WARN, (settings.isolation_topic,), '', 'isolation says that '
+            FAIL, (settings.isolation_topic,), '', 'isolation says that '
             f'{", ".join(state.faulty)} is faulty now', 'repair it, or have isolation say that '
             'all are healthy'))
     findings.sort(key=lambda f: -f.level)

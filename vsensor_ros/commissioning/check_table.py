@@ -20,6 +20,7 @@ from vsensor_ros.commissioning.findings import (
     Use,
     WARN,
 )
+from vsensor_ros.commissioning.likeness import clean
 from vsensor_ros.commissioning.rehearsal import Outlook
 
 WIDTH = 100  # characters that lines are wrapped to; a long name may take more
@@ -94,7 +95,7 @@ def _who(use: Use, report: CheckReport) -> str:
     if use.role != OUTPUT:
         return by or 'nobody'
     to = ', '.join(dict.fromkeys(e.node for e in use.listeners)) or 'nobody'
-    return f'heard by {to}' + (f'; published by {by}' if by else '')
+    return f'to {to}' + (f', by {by}' if by else '')
 
 
 def _stamps(age: float, spread: float) -> str:
@@ -126,8 +127,10 @@ def _table(titles: Sequence[str], rows: Sequence[tuple[int, tuple[str, ...]]]) -
     widths = [max(len(title), *(len(row[i]) for _, row in rows)) if rows else len(title)
               for i, title in enumerate(titles)]
 
+    gap = '  ' if MARK + sum(widths) + 2 * len(widths) - 2 <= WIDTH else ' '
+
     def laid(cells: Sequence[str]) -> str:
-        return '  '.join(cell.ljust(n) for cell, n in zip(cells, widths)).rstrip()
+        return gap.join(cell.ljust(n) for cell, n in zip(cells, widths)).rstrip()
     return [((' ' * MARK + laid(titles), 'bold'),),
             *(((MARKS[level].ljust(MARK), STYLES[level]), (laid(cells), ''))
               for level, cells in rows)]
@@ -159,18 +162,13 @@ def show(lines: Sequence[Line]) -> None:
     """Print, in colour where somebody looks and rich is there."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors='backslashreplace')  # a unit may be °C
-    lines = [tuple((_clean(text), style) for text, style in line) for line in lines]
+    lines = [tuple((clean(text), style) for text, style in line) for line in lines]
     try:
         if sys.stdout.isatty() and _print_in_colour(lines):
             return
         print('\n'.join(''.join(text for text, _ in line) for line in lines), flush=True)
     except BrokenPipeError:  # whoever read it has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _clean(text: str) -> str:
-    """Return the text without what would steer a terminal: names come from outside."""
-    return ''.join(c if c.isprintable() else '?' for c in text)
 
 
 def _print_in_colour(lines: Sequence[Line]) -> bool:

@@ -36,6 +36,11 @@ def nearest_topic(topic: str, types: Mapping[str, str], wanted: str) -> str | No
         nearest(topic, types)
 
 
+def clean(text: str) -> str:
+    """Return a text without what would steer a terminal or end a line: it comes from outside."""
+    return ''.join(c if c.isprintable() else '?' for c in text)
+
+
 def _alike(name: str, other: str) -> float:
     """Return how alike two names are: 2 when they differ in case and signs alone."""
     a, b = plain(name), plain(other)

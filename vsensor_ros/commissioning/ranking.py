@@ -7,7 +7,7 @@ that is in another unit is no candidate at all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 import re
 
@@ -26,15 +26,15 @@ COUNTS = -1.0  # a whole number
 
 # words that mean the same, each line
 _MEANINGS = (
-    ('position', 'angle', 'pos', 'joint', 'theta', 'positions'),
+    ('position', 'angle', 'pos', 'theta', 'positions'),
     ('velocity', 'speed', 'rate', 'omega', 'gyro', 'vel', 'angular', 'twist', 'velocities'),
     ('acceleration', 'accel', 'accelerometer', 'acc'),
     ('effort', 'torque', 'force', 'current', 'load', 'moment'),
     ('range', 'level', 'distance', 'height', 'depth', 'gap'),
-    ('temperature', 'temp', 't'),
+    ('temperature', 'temp'),
     ('pressure', 'baro', 'fluid'),
-    ('voltage', 'volt', 'v'),
-    ('altitude', 'height', 'z'),
+    ('voltage', 'volt', 'volts'),
+    ('altitude', 'height', 'elevation'),
 )
 _COMMANDING = {'cmd', 'command', 'commands', 'setpoint', 'reference', 'target', 'desired', 'goal',
                'ref'}
@@ -88,7 +88,9 @@ class Proposal:
 
 
 def score(wanted: Wanted, candidate: Candidate) -> Proposal | None:
-    """Weigh one candidate; None when it cannot be."""
+    """Weigh one candidate; None when it cannot be. A sensor must be published."""
+    if not (wanted.command or candidate.published):
+        return None
     unit = _by_unit(wanted, candidate)
     if unit is None:
         return None
@@ -109,22 +111,38 @@ def assign(wanted: Sequence[Wanted], candidates: Sequence[Candidate],
     """
     Return for each name its candidates, the best first, none of them the best of another.
 
-    The surest choice is made first: what is taken is not offered to the others.
+    The surest choice is made first: what is taken is not offered to the others. A topic has
+    sensors or commands.
     """
     ranked = {w.name: rank(w, candidates) for w in wanted}
     every = sorted((p for ranks in ranked.values() for p in ranks),
                    key=lambda p: (-p.score, -_lead(ranked[p.wanted.name], p), p.wanted.name,
                                   p.candidate.topic, p.candidate.field))
-    taken: dict[tuple[str, str], str] = {}
-    chosen: set[str] = set()
+    taken = Taken()
     for proposal in every:
-        place = proposal.candidate.topic, proposal.candidate.field
-        if proposal.wanted.name not in chosen and place not in taken:
-            taken[place] = proposal.wanted.name
-            chosen.add(proposal.wanted.name)
-    return {name: [p for p in ranks
-                   if taken.get((p.candidate.topic, p.candidate.field), name) == name]
-            for name, ranks in ranked.items()}
+        if taken.allows(proposal) and proposal.wanted.name not in taken.places.values():
+            taken.take(proposal)
+    return {name: [p for p in ranks if taken.allows(p)] for name, ranks in ranked.items()}
+
+
+class Taken:
+    """What is taken already: a place has one name, a topic either sensors or commands."""
+
+    def __init__(self) -> None:
+        self.places: dict[tuple[str, str], str] = {}  # topic and field: the name
+        self._commands: dict[str, bool] = {}  # topic: of commands
+
+    def allows(self, proposal: Proposal) -> bool:
+        """Tell whether a proposal goes with what is taken."""
+        wanted, candidate = proposal.wanted, proposal.candidate
+        return self.places.get((candidate.topic, candidate.field), wanted.name) == wanted.name \
+            and self._commands.get(candidate.topic, wanted.command) == wanted.command
+
+    def take(self, proposal: Proposal) -> None:
+        """Take a place for a name."""
+        candidate = proposal.candidate
+        self.places[candidate.topic, candidate.field] = proposal.wanted.name
+        self._commands[candidate.topic] = proposal.wanted.command
 
 
 def sure(ranks: Sequence[Proposal]) -> bool:
@@ -217,8 +235,3 @@ def _by_sound(candidate: Candidate) -> list[Points]:
     elif candidate.moves:
         points.append((MOVES, 'moves'))
     return points
-
-
-def by_place(candidates: Iterable[Candidate]) -> Mapping[tuple[str, str], Candidate]:
-    """Return candidates by topic and field."""
-    return {(c.topic, c.field): c for c in candidates}
