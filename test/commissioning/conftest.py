@@ -11,9 +11,8 @@ import time
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
-ROOT = Path(__file__).parents[2]
 os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(
-    ROOT / 'config' / 'fastdds_localhost.xml'))
+    Path(__file__).parents[2] / 'config' / 'fastdds_localhost.xml'))
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
@@ -26,6 +25,7 @@ from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.node.accessor import put_stamp
 
+ROOT = Path(__file__).parents[2]
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 PATIENCE = (3, 12, 50)  # s that a verb listens: a busy machine discovers late
 

@@ -30,7 +30,8 @@ def file(designs, tmp_path):
                    for s, f in (('y1', 'position'), ('y2', 'velocity'), ('y3', 'effort'))}
         given = {'design_file': str(designs['servo']), 'isolation': {'topic': '/isolation'},
                  'sensors': sensors, 'commands': {'voltage': {
-                     'topic': VOLTAGE, 'type': 'std_msgs/msg/Float64', 'field': 'data'}}, **changes}
+                     'topic': VOLTAGE, 'type': 'std_msgs/msg/Float64', 'field': 'data'}},
+                 **changes}
         path = tmp_path / 'replacer.yaml'
         path.write_text(yaml.safe_dump({'replacer': {'ros__parameters': given}}))
         return path

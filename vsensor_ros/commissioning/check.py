@@ -7,11 +7,11 @@ What it would need and lacks is explained by what is heard on each topic and who
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import os
+from collections.abc import Collection, Sequence
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from rclpy.node import Node
 
@@ -132,15 +132,15 @@ def uses_of(settings: Settings) -> list[Use]:
     return [*uses.values(), isolation]
 
 
-def _kind(settings: Settings, use: Use) -> object:
+def _kind(settings: Settings, use: Use) -> Any:
     """Return the message class of a topic that is heard."""
-    return next(end.kind for end in (*settings.sensors, *settings.commands)
-                if end.name in use.channels)
+    return next(kind for name, kind in (
+        *((s.name, s.kind) for s in settings.sensors),
+        *((c.name, c.kind) for c in settings.commands)) if name in use.channels)
 
 
-def _hear(replacer: Replacer, ears: Sequence[Ear] | object, seconds: float) -> None:
+def _hear(replacer: Replacer, ears: Collection[Ear], seconds: float) -> None:
     """Let the replacer and the ears take all that comes, from the first message on so long."""
-    ears = list(ears)  # type: ignore[call-overload]
     begin = time.monotonic()
     end = begin + FOUND + seconds
     began = False

@@ -8,7 +8,7 @@ does not now. WARN: it works, but worse than it should. NOTE: worth knowing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 import math
 from typing import Protocol
@@ -177,8 +177,9 @@ def _nobody(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> Find
         drivers = [p.node for p in output.publishers if p.node != world.node]
         if drivers:
             return Finding(
-                FAIL, (use.topic, use.output), '', f'{_never(use)}: {", ".join(drivers)} publishes '
-                f'on {use.output} itself', f'remap it there: --ros-args -r {use.output}:={use.topic}')
+                FAIL, (use.topic, use.output), '', f'{_never(use)}: {", ".join(drivers)} '
+                f'publishes on {use.output} itself',
+                f'remap it there: --ros-args -r {use.output}:={use.topic}')
     near = nearest_topic(use.topic, world.strangers(), use.type)
     if use.role == ISOLATION:
         return Finding(
@@ -256,8 +257,8 @@ def _stamps(use: Use, world: World) -> list[Finding]:
         return say(FAIL, f'{_time(age)} late, older than max_age ({oldest:g} s)', 'let both '
                    'computers keep the same time (chrony), find what delays it, or raise max_age')
     if age > LATE:
-        return say(WARN, f'{_time(age)} late', 'let both computers keep the same time (chrony), or '
-                   'find what delays it')
+        return say(WARN, f'{_time(age)} late', 'let both computers keep the same time (chrony), '
+                   'or find what delays it')
     if spread > max(LATE, oldest / 2.0 if math.isfinite(oldest) else 0.0):
         return say(WARN, f'uneven: {_time(age)} +- {_time(spread)} old', 'stamp when it is '
                    'measured, and find what delays it')
@@ -320,8 +321,9 @@ def _output(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list
             'already, where the replacer is to speak', 'end it, or remap it: --ros-args -r '
             f'{use.topic}:={source.topic}'))
     if ours > 1:
-        found.append(Finding(FAIL, (use.topic,), '', f'{ours} nodes called {world.node} publish on '
-                             f'{use.topic}', 'end all but one'))
+        found.append(Finding(
+            FAIL, (use.topic,), '', f'{ours} nodes called {world.node} publish on {use.topic}',
+            'end all but one'))
     for other in use.listeners:
         if other.type != use.type:
             found.append(Finding(
@@ -333,9 +335,3 @@ def _output(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list
                 f'does not fit ({other.mismatch})', 'change it there, or here with '
                 f'qos_overrides.{use.topic}.publisher'))
     return found
-
-
-def worst(findings: Sequence[Finding]) -> Finding | None:
-    """Return the first of the worst that count, or None when nothing does."""
-    failed = [f for f in findings if f.level == FAIL]
-    return (failed or [f for f in findings if f.level == WARN] or [None])[0]

@@ -150,8 +150,8 @@ def ask(wanted: Wanted, ranks: Sequence[Proposal]) -> Proposal | None:
     """Ask on the terminal which it is; None: none of them. Raises BadInput."""
     what = 'command' if wanted.command else 'sensor'
     if not sys.stdin.isatty():
-        raise BadInput('wire', wanted.name, f'it is not sure which {what} it is, and nobody can be '
-                       'asked', 'run it in a terminal, or with --yes')
+        raise BadInput('wire', wanted.name, f'it is not sure which {what} it is, and nobody can '
+                       'be asked', 'run it in a terminal, or with --yes')
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     hints = f' ({", ".join(wanted.hints)})' if wanted.hints else ''
     offered = ranks[:OFFERED]
