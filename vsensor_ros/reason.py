@@ -72,6 +72,7 @@ SENTENCES: dict[str, Sentence] = {
     'driver silent': 'its driver has been silent for {seconds:.1f} s',
     'not newer': 'not sent on: not newer than what went out',
     'from the future': 'not sent on: stamp far ahead of the clock',
+    'not chosen': 'from another publisher than the one chosen',
     'never seen': 'no message of its driver was ever seen, so frame and names are not known',
     'not sent': 'not sent: {text}',
     'mistake': 'a mistake of this node ({error})',

@@ -281,3 +281,45 @@ def test_every_snapshot_is_its_own(bench):
         state.channels[0].counts[Reason('isolated')] = 3
     m.hear(0, math.nan, stamp=5)
     assert not state.channels[0].counts and m.state('y1').counts
+
+
+def test_what_keeps_the_reserve_from_serving_is_told_before_the_fault(bench):
+    m = Machine(bench)
+    m.pass_time(1)
+    assert m.state('y2').reserve.code == 'never seen'
+
+    def only_y2(periods):
+        for _ in range(periods):
+            m.now += PERIOD
+            m.hear(1, 3.0)
+            m.pass_time()
+    only_y2(20)
+    assert str(m.state('y2').reserve) == 'no reading of y1 yet'
+    m.step(1.5, 3.0, 20)
+    assert m.state('y2').reserve is None and m.state('y1').reserve is None
+    only_y2(60)
+    assert m.state('y2').reserve.code == 'input silent'
+    m.isolate('y2')  # and so it is
+    y2 = m.state('y2')
+    assert y2.source == 'none' and y2.reason.fact('why').code == y2.reserve.code == 'input silent'
+    m.step(1.5, 99.0, 20)
+    assert m.state('y2').source == 'virtual' and m.state('y2').reserve is None
+    assert m.state('y1').reserve.code == 'no design'  # for both
+
+
+def test_an_estimate_that_is_too_uncertain_is_no_reserve(bench):
+    m = Machine(bench, max_deviation={'y1': 0.0, 'y2': 1e-9})
+    m.step(1.5, 3.0, 20)
+    assert m.state('y2').reserve.code == 'too uncertain' and m.state('y1').reserve is None
+
+
+def test_to_look_changes_nothing(bench):
+    looked, other = Machine(bench), Machine(bench)
+    for m in (looked, other):
+        for i in range(40):
+            m.step(1.5 + 0.01 * i, 3.0 + 0.02 * i)
+            if m is looked:
+                m.state('y1')
+        m.isolate('y2')
+        m.step(2.0, 99.0, 5)
+    assert [c.fields for c in looked.sent] == [c.fields for c in other.sent]

@@ -162,9 +162,14 @@ class Machine(RuleBasedStateMachine):
 
     # ----------------------------------------------------------------------------- decisions
 
+    def is_ready(self, key, s):
+        return (key, s) in self.ready
+
+    def why_not(self, key, s):
+        return None if (key, s) in self.ready else 'converging'
+
     def look(self, switch):
-        return switch.decide(self.now, lambda key, s: (key, s) in self.ready,
-                             lambda key, s: None if (key, s) in self.ready else 'converging')
+        return switch.decide(self.now, self.is_ready, self.why_not)
 
     @rule(step=STEPS, seen=SEEN)
     def pass_time(self, step, seen):
@@ -190,6 +195,7 @@ class Machine(RuleBasedStateMachine):
         assert not new.recovering.keys() & new.failed
         for s in NAMES:
             self.check(s, old, new, core)
+            self.check_reserve(s, new)
         self.check_forces(old, new, core)
         self.gone = {key: log for key, log in self.gone.items() if self.waits(*key)}
 
@@ -225,6 +231,13 @@ class Machine(RuleBasedStateMachine):
             assert d.fault_set == before.fault_set or set(d.fault_set) == new.faulty
         elif d.source is Source.VIRTUAL:
             assert len(d.fault_set) == min(map(len, may))
+
+    def check_reserve(self, s, switch):
+        """Compare what is told beforehand with what would happen."""
+        would = self.look(switch.isolate(switch.reported | {s}, self.now)).decisions[s]
+        lack = switch.reserve(s, self.now, self.is_ready, self.why_not)
+        assert (lack is None) == (would.source is Source.VIRTUAL)
+        assert lack is None or switch.forced or str(lack) == str(would.reason)
 
     def check_forces(self, old, new, core):
         for s in NAMES:

@@ -22,7 +22,8 @@ COMPLETE = ROOT / 'config' / 'replacer.yaml'
 DOCUMENT = ROOT / 'docs' / 'parameters.md'
 HEAD = ('| name | type | default | unit | values | live | meaning |\n'
         '|---|---|---|---|---|---|---|\n')
-TYPES = {str: 'text', float: 'number', int: 'whole number', bool: 'true or false'}
+TYPES = {str: 'text', float: 'number', int: 'whole number', bool: 'true or false',
+         list: 'list of texts'}
 
 
 def design(sensors, inputs):

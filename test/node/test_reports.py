@@ -1,9 +1,13 @@
 """What is heard on the isolation topic, now and from before."""
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
+
+from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
 
 RANGE = 'sensor_msgs/msg/Range'
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -62,8 +66,8 @@ def test_history_does_not_overrule_what_is_newer(rig, parameters):
     assert reported(r, 'y2')
     # what only the transient-local subscription hears is told as if it came now, once more
     reports = r.replacer.reports
-    for sent, what in ((reports._said['y1'] - 1, statuses(y1=2, y3=2)),
-                       (reports._said['y1'] + 1, statuses(y2=0))):
+    for sent, what in ((reports._said['y1', 'y1'] - 1, statuses(y1=2, y3=2)),
+                       (reports._said['y1', 'y1'] + 1, statuses(y2=0))):
         reports.apply(sent, r.raw(what), r.now, late=True)
         assert set(reports.report().faulty) == (
             {'y2', 'y3'} if what.status[0].name == 'y1' else {'y3'})
@@ -141,3 +145,119 @@ def test_what_others_say_on_a_shared_topic_is_thrown_away_by_nobody(rig, paramet
     for i in range(2000):
         r.replacer.reports.apply(i + 1, raw, r.now, late=True)
     assert r.replacer.health().not_used == r.replacer.health().thrown_away == 0
+
+
+def several(*said):
+    """Make a message of (name, level) or (name, level, hardware_id)."""
+    return DiagnosticArray(status=[
+        DiagnosticStatus(name=name, level=bytes([level]), hardware_id=''.join(hardware))
+        for name, level, *hardware in said])
+
+
+def test_of_several_statuses_of_one_name_the_worst_counts(rig, parameters):
+    r = rig(parameters)
+    heard = r.listen(RANGE, '/y2')
+    r.step(*r.healthy(), periods=3)
+    isolation = r.publisher(DiagnosticArray, '/isolation')
+    isolation.publish(several(('y2', 2), ('y2', 0)))
+    assert reported(r, 'y2')
+    r.step(*r.healthy(y1=0.75, y2=9.0), periods=3)
+    assert r.values(heard)[-1] == 1.5
+    isolation.publish(several(('y2', 0), ('y2', 1), ('y1', 0), ('y1', 3)))
+    assert reported(r, 'y1', 'y2')
+    isolation.publish(several(('y2', 0), ('y2', 0), ('y1', 0)))
+    assert reported(r)
+
+
+NAMED = {'isolation.names': ['isolator: *=*', 'motor_*: velocity=y2', 'hardware_id=SN-7=y2']}
+
+
+@pytest.mark.parametrize('topic', ['/isolation', '/diagnostics'])
+@pytest.mark.parametrize('said', [
+    ('isolator: y2', 2), ('motor_left: velocity', 3), ('imu: noise', 2, 'SN-7'),
+    ('imu: noise', 2, 'y2')])
+def test_names_that_were_given_to_a_sensor(rig, parameters, topic, said):
+    r = rig({**parameters, **NAMED, 'isolation.topic': topic})
+    isolation = r.publisher(DiagnosticArray, topic)
+    isolation.publish(several(('motor_left: current', 2), said))
+    assert reported(r, 'y2')
+    isolation.publish(several((said[0], 0, *said[2:])))
+    assert reported(r)
+
+
+def test_each_name_of_a_sensor_speaks_for_itself(rig, parameters):
+    r = rig({**parameters, **NAMED})
+    isolation = r.publisher(DiagnosticArray, '/isolation')
+    for said, faulty in (
+            ([('isolator: y2', 2)], {'y2'}), ([('y2', 0), ('imu: noise', 0, 'y2')], {'y2'}),
+            ([('y2', 2)], {'y2'}), ([('isolator: y2', 0), ('y3', 2)], {'y2', 'y3'}),
+            ([('y2', 0)], {'y3'})):
+        isolation.publish(several(*said, ('y1', 0)))
+        assert r.spin_until(lambda faulty=faulty: r.reported == faulty), said
+        r.spin(0.01)
+        assert r.reported == faulty
+    assert r.replacer.snapshot().spoken_of == ('y1', 'y2', 'y3')
+
+
+def test_a_text_may_use_names_that_were_given(rig, parameters):
+    r = rig({**parameters, **TEXT, 'isolation.names': ['imu_*=y2']})
+    for text, names in (('imu_left y1', ('y1', 'y2')), ('imu_right', ('y2',)), ('', ())):
+        r.say(text)
+        assert reported(r, *names)
+
+
+def test_what_a_replacer_says_of_itself_is_no_isolation(rig, parameters):
+    """With a pattern that would take it for one, from this node or another, also passed on."""
+    r = rig({**parameters, 'isolation.names': ['*y2=y2']})
+    isolation = r.publisher(DiagnosticArray, '/isolation')
+    own = several(('other: y2', 2), ('other: the loop', 2))
+    own.status[0].values = [KeyValue(key='faulty sensors', value='y2')]
+    own.status[1].values = [KeyValue(key='spoken_of', value='')]
+    isolation.publish(own)
+    isolation.publish(several(('y1', 2)))
+    assert reported(r, 'y1') and r.replacer.snapshot().spoken_of == ('y1',)
+    own.status[0].values = []
+    isolation.publish(own)
+    assert reported(r, 'y1', 'y2')
+
+
+@pytest.mark.parametrize('topic', ['/isolation', '/diagnostics'])
+def test_a_name_that_ends_like_a_sensor_is_told_with_the_mend(rig, parameters, topic, capfd,
+                                                              monkeypatch):
+    r = rig({**parameters, 'isolation.topic': topic})
+    isolation = r.publisher(DiagnosticArray, topic)
+    reports = r.replacer.reports
+    for name in ('isolator: y2', '/robot/y2', 'motor/y2'):
+        isolation.publish(several((name, 2), ('pump', 0)))
+        assert r.spin_until(lambda name=name: name in reports.strangers())
+    isolation.publish(several(('before: y1', 0)))  # is told before the fault
+    assert r.spin_until(lambda: 'before: y1' in reports.strangers())
+    isolation.publish(several(('y1', 0)))  # y1 has a name that is known
+    assert r.spin_until(lambda: 'before: y1' not in reports.strangers())
+    assert r.reported == set()
+    said = capfd.readouterr().err
+    assert "did you mean y2? If so, add 'isolator: y2=y2' to isolation.names" in said
+    later = time.monotonic() + LATELY + 1.0
+    monkeypatch.setattr('vsensor_ros.node.reports.time.monotonic', lambda: later)
+    assert reports.strangers() == []
+
+
+def test_what_was_said_to_be_nobodys_is_passed_over(rig, parameters, capfd):
+    r = rig({**parameters, 'isolation.names': ['driver: y2=', 'pump_*=']})
+    isolation = r.publisher(DiagnosticArray, '/isolation')
+    isolation.publish(several(('driver: y2', 2), ('pump_3', 2)))
+    isolation.publish(several(('y1', 2)))
+    assert reported(r, 'y1')
+    assert r.replacer.health().not_used == 0 and not r.replacer.reports.strangers()
+    assert 'is not a sensor' not in capfd.readouterr().err
+
+
+def test_names_by_pattern_are_bounded(rig, parameters, monkeypatch):
+    monkeypatch.setattr('vsensor_ros.node.reports.MOST_NAMES', 10)
+    r = rig({**parameters, 'isolation.names': ['motor_*=y2']})
+    reports = r.replacer.reports
+    for i in range(30):
+        reports.apply(i + 1, r.raw(several((f'motor_{i}', 2), (f'x{i}: y2', 2))), r.now)
+    reports.apply(31, r.raw(several(('y1', 2))), r.now)
+    assert set(reports.report().faulty) == {'y1', 'y2'} and len(reports._said) == 11
+    assert len(reports._strangers) == MOST_STRANGERS and len(reports.strangers()) <= 5

@@ -161,6 +161,10 @@ class Engine:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
         self._intake.count(name, why)
 
+    def leave_out(self, name: str) -> None:
+        """Count a message for a channel that came from a publisher who was not chosen."""
+        self._intake.count(name, Reason('not chosen'), quietly=True)
+
     # ------------------------------------------------------------------------------- requests
 
     def isolate(self, report: IsolationReport) -> Messages:
@@ -396,8 +400,8 @@ class Engine:
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or self._switch.reserve(name, self._stand_in.ready,
-                                                      self._stand_in.why_not))
+            stream.never_seen or self._switch.reserve(
+                name, lasting, self._stand_in.ready, self._stand_in.why_not))
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:

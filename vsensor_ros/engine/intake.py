@@ -28,10 +28,11 @@ class Intake:
         self._long: dict[str, int] = {}  # by sensor: long intervals in a row
         self._slow: set[str] = set()  # sensors that were said to be
 
-    def count(self, name: str, why: Reason) -> None:
+    def count(self, name: str, why: Reason, quietly: bool = False) -> None:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
         self._counts[name, why] += 1
-        self._counted[name, why] = None
+        if not quietly:
+            self._counted[name, why] = None
 
     def say(self, level: str, what: Reason, subject: object = None) -> None:
         """Let people hear something; the subject is itself if not given."""

@@ -196,7 +196,7 @@ class Stream:
 
     @property
     def never_seen(self) -> Reason | None:
-        """Why no message could be composed, because there is none to begin with; None: it could."""
+        """Why no message could be composed, for want of one to begin with; None: it could."""
         return NEVER_SEEN if self.plan.stamped and all(
             sender.template is None for sender in self.senders.all) else None
 

@@ -236,12 +236,12 @@ class Switch:
                      for s in self.sensors}
         return replace(new, decisions=decisions)
 
-    def reserve(self, name: str, ready: Ready, why_not: WhyNot) -> Reason | None:
-        """
-        Return why nobody could speak for a sensor if isolation reported it now; None: one could.
-
-        It is decided as in `decide`, for all that are faulty now and this sensor.
-        """
+    def reserve(self, name: str, time: int, ready: Ready, why_not: WhyNot) -> Reason | None:
+        """Return why nobody would serve a channel if it were reported, too; None: one would."""
+        if self.forced:  # that may end then
+            would = self.isolate(self.reported | {name}, time).decide(time, ready, why_not)
+            decision = would.decisions[name]
+            return None if decision.source is Source.VIRTUAL else decision.reason
         faulty = self.faulty | {name}
         failing = replace(self, faulty=faulty, reported=self.reported | {name})
         source, _ = failing._choose(name, failing._candidates(faulty, name), len(faulty),

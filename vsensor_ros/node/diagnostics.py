@@ -15,6 +15,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from vsensor_ros.engine import ChannelState, EngineState, Policy
+from vsensor_ros.node.reserve import Origin, without_reserve
 from vsensor_ros.observers import Design
 from vsensor_ros.reason import Reason
 
@@ -31,6 +32,9 @@ STATES = {
     'starting': 'starting; nothing goes out before it is known what isolation said',
     'active': 'active',
 }
+FAULTY = 'faulty sensors'  # key of each channel's status
+# keys by which one knows what a replacer says of a channel and of itself
+MARKS = frozenset({FAULTY, 'spoken_of'})
 LOOP = 'the loop'  # name of the status that is about no channel; no sensor can be called so
 
 
@@ -72,6 +76,9 @@ class Scene:
     faulty: tuple[str, ...]  # the effective set, in the design's order
     complaints: Mapping[str, Sequence[str]]  # by channel: what others do on its topics
     switches: Mapping[str, int]  # by channel: lately
+    # channels whose reserve has been lacking for long, though it could be mended
+    lacking: Collection[str] = ()
+    origins: Mapping[str, Origin] = field(default_factory=dict)  # by sensor and command
 
 
 def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> Report:
@@ -100,6 +107,9 @@ def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> R
     level = LEVELS[source]
     if level == DiagnosticStatus.OK and len(parts) > 1:
         level = DiagnosticStatus.WARN
+    if source == 'real' and channel.reserve is not None:
+        parts += without_reserve(name, channel.reserve, scene.origins)
+        level = DiagnosticStatus.WARN if name in scene.lacking else level
     return Report(name, level, '; '.join(parts), channel.topic, source)
 
 
@@ -170,7 +180,7 @@ def channel_facts(channel: ChannelState, scene: Scene, rate: float) -> dict[str,
     """Return what somebody who looks closer at a channel wants to know; rate [Hz] of readings."""
     facts: dict[str, object] = {
         'source': channel.source,
-        'faulty sensors': ', '.join(scene.faulty) or 'none',
+        FAULTY: ', '.join(scene.faulty) or 'none',
         'switches': channel.switches,
         'last step': number(channel.last_step),
     }

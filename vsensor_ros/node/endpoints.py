@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import re
 from typing import Any
 
 from rclpy.exceptions import InvalidTopicNameException
@@ -30,6 +31,7 @@ class Sensor:
     type: str
     kind: Any  # the message class
     accessor: Accessor
+    publisher: str  # full name of the node whose messages alone count; '': any
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Command:
     type: str
     kind: Any
     accessor: Accessor
+    publisher: str  # full name of the node whose messages alone count; '': any
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
     for name in design.sensors if design else ():
         prefix = f'sensors.{name}'
         field = _field(values, prefix, where, problems)
+        publisher = _publisher(values, prefix, node, where, problems)
         topic = values.get(f'{prefix}.topic')
         output = resolve(topic, f'{prefix}.topic')
         source = resolve(values.get(f'{prefix}.input') or (f'{topic}_raw' if output else None),
@@ -81,13 +85,14 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
             problems.append(BadInput(where, f'{prefix}.input', f'{source} is also the output',
                                      'remap the driver, to the topic + _raw say'))
         elif field is not None and source is not None and output is not None:
-            sensors.append(Sensor(name, source, output, *field))
+            sensors.append(Sensor(name, source, output, *field, publisher))
     for name in design.inputs if design else ():
         prefix = f'commands.{name}'
         field = _field(values, prefix, where, problems)
+        publisher = _publisher(values, prefix, node, where, problems)
         topic = resolve(values.get(f'{prefix}.topic'), f'{prefix}.topic')
         if field is not None and topic is not None:
-            commands.append(Command(name, topic, *field))
+            commands.append(Command(name, topic, *field, publisher))
     isolation = resolve(values.get('isolation.topic'), 'isolation.topic')
     if isolation in (own := [node.resolve_topic_name(topic) for topic in (STATUS, ESTIMATES)]):
         problems.append(BadInput(where, 'isolation.topic', f'{isolation} is what this node says',
@@ -131,6 +136,18 @@ def _field(values: Mapping[str, Any], prefix: str, where: str,
     except BadInput as problem:
         problems.append(problem)
         return None
+
+
+def _publisher(values: Mapping[str, Any], prefix: str, node: Node, where: str,
+               problems: list[BadInput]) -> str:
+    """Return the full name of the node that was chosen to be heard; '': any."""
+    given = values.get(f'{prefix}.publisher', '')
+    name = given if not given or given.startswith('/') else \
+        f'{node.get_namespace().rstrip("/")}/{given}'
+    if name and not re.fullmatch(r'(/[A-Za-z_]\w*)+', name, re.ASCII):
+        problems.append(BadInput(where, f'{prefix}.publisher', f'{given!r:.80} is not the name of '
+                                 'a node', 'write it like /robot/driver'))
+    return name
 
 
 def _crossed(sensors: Sequence[Sensor], where: str) -> list[BadInput]:

@@ -1,8 +1,12 @@
-"""What others do on our topics that cannot work: another type, QoS that does not match."""
+"""
+Who is on our topics, and what cannot work there.
+
+Another type, QoS that does not match, nobody who isolates; for more see `Inlet`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,13 +27,18 @@ class End:
 
 @dataclass(frozen=True)
 class Complaint:
-    """One endpoint of another node that does not go with ours."""
+    """What other nodes do on a topic, or fail to do, that cannot work."""
 
     topic: str
     text: str  # what is and what to do about it
+    about: str = ''  # the sensor or command that it is about alone
 
     def __str__(self) -> str:
         return f'{self.topic}: {self.text}'
+
+
+UNKNOWN = 'a node whose name is not known'
+_NO_NAME = '_NODE_NAME_UNKNOWN_'  # of rmw, until it has discovered it
 
 
 def ends_of(settings: Settings) -> tuple[End, ...]:
@@ -62,6 +71,19 @@ def complaints(node: Node, ends: Iterable[End]) -> Iterator[Complaint]:
                 yield from _mismatch(end, other, [(other, s) for s in ours])
 
 
+def silent_isolation(topic: str, there: Sequence[str]) -> Iterator[Complaint]:
+    """Yield a complaint when nobody says which sensors are faulty; there: who publishes."""
+    if not there:
+        yield Complaint(topic, 'nobody publishes here, so no fault will be heard of; start what '
+                        'finds the faults, or correct isolation.topic')
+
+
+def listed(nodes: Sequence[str]) -> str:
+    """List nodes, of which some may have the same name."""
+    return ' and '.join(f'another {node}' if node in nodes[:i] else node
+                        for i, node in enumerate(nodes))
+
+
 def _split(node: Node, endpoints: Iterable[Any]) -> tuple[list[Any], list[Any]]:
     """Return the endpoints of nodes named as this one, and those of others."""
     own = (node.get_name(), node.get_namespace())
@@ -70,7 +92,7 @@ def _split(node: Node, endpoints: Iterable[Any]) -> tuple[list[Any], list[Any]]:
     for e in endpoints:
         if (e.node_name, e.node_namespace) == own:
             ours.append(e)
-        elif e.node_name != '_NODE_NAME_UNKNOWN_':  # told apart at the next look
+        elif e.node_name != _NO_NAME:  # told apart at the next look
             others.append(e)
     return ours, others
 
@@ -89,6 +111,17 @@ def _mismatch(end: End, other: Any, pairs: Iterable[tuple[Any, Any]]) -> Iterato
         yield Complaint(end.topic, f'the QoS of {_who(other)} does not match that of this '
                         f'node ({reason.strip().rstrip(";")}); nothing passes between them, '
                         f'change it there, or here with qos_overrides.{end.topic}')
+
+
+def publishers(node: Node, topics: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return by topic the full names of other nodes' publishers there, one for each."""
+    return {topic: tuple(sorted(_who(other) for other in _split(
+        node, node.get_publishers_info_by_topic(topic))[1])) for topic in topics}
+
+
+def full_name(endpoint: Any) -> str | None:
+    """Return the full name of an endpoint's node; None: it is not known yet."""
+    return None if endpoint.node_name == _NO_NAME else _who(endpoint)
 
 
 def _who(endpoint: Any) -> str:

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import traceback
-from typing import Any
-
-from rclpy.subscription import Subscription
 
 from vsensor_ros.engine import Engine, Forward
-from vsensor_ros.node.cdr import Reader
 from vsensor_ros.node.endpoints import Command
+from vsensor_ros.node.inlet import Inlet
 from vsensor_ros.node.log import Log
 from vsensor_ros.node.polling import DEPTH
-from vsensor_ros.node.private_rclpy import taker
 from vsensor_ros.node.topics import Topic
 from vsensor_ros.reason import Reason
 
 UNREADABLE = Reason('unreadable')
 
 
-def take_readings(topic: Topic, engine: Engine, log: Log) -> int:
+def take_readings(topic: Topic, inlet: Inlet, engine: Engine, log: Log) -> int:
     """Take what has arrived on a topic; return how many messages."""
-    take, kind, count = topic.take, topic.kind, 0
+    take, kind, count = inlet.take, topic.kind, 0
     while count < DEPTH and (taken := take(kind, True)) is not None:
         count += 1
         try:
@@ -53,24 +48,17 @@ def _hear(topic: Topic, engine: Engine, raw: bytes, received: int) -> None:
     engine.learn(topic.index, reading, received)
 
 
-def commands_taker(command: Command, subscription: Subscription, engine: Engine,
-                   ) -> tuple[Reader, Callable[[], int]]:
-    """Return what takes the commands that have arrived, and the reader that it uses."""
-    take, kind = taker(subscription), command.kind
-    reader = Reader(kind, [command.accessor.path])
-
-    def take_commands() -> int:
-        count = 0
-        taken: Any
-        while count < DEPTH and (taken := take(kind, True)) is not None:
-            count += 1
-            reading, received = reader.read(taken[0]), taken[1]['received_timestamp']
-            if reading is None:
-                engine.command(command.name, UNREADABLE, None, received)
-            else:
-                engine.command(command.name, reading.values[0], reading.stamp, received)
-        return count
-    return reader, take_commands
+def take_commands(command: Command, inlet: Inlet, engine: Engine) -> int:
+    """Take the commands that have arrived; return how many messages."""
+    take, read, kind, count = inlet.take, inlet.reader.read, command.kind, 0
+    while count < DEPTH and (taken := take(kind, True)) is not None:
+        count += 1
+        reading, received = read(taken[0]), taken[1]['received_timestamp']
+        if reading is None:
+            engine.command(command.name, UNREADABLE, None, received)
+        else:
+            engine.command(command.name, reading.values[0], reading.stamp, received)
+    return count
 
 
 def not_sent(error: RuntimeError) -> Reason:

@@ -50,6 +50,8 @@ class Known:
             value = float(value)  # `rate: 100` is as good as 100.0
         give = f'give the {self.description}' + (
             ", or '' for that of all sensors" if self.general else '')
+        if self.type is list:
+            return _texts(value, where, name, give)
         if value is None:
             raise BadInput(where, name, 'is missing', give)
         if not isinstance(value, self.type) or (self.type is int and isinstance(value, bool)):
@@ -85,6 +87,14 @@ class Known:
         return descriptor
 
 
+def _texts(value: Any, where: object, name: str, give: str) -> list[str]:
+    """Return a list of texts; an empty one arrives as None from a file."""
+    texts = [] if value is None else value
+    if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) for text in texts):
+        raise BadInput(where, name, f'{value!r:.80} is not a list of texts', give)
+    return list(texts) or ['']  # an empty list has no type in ROS
+
+
 _TYPES = {str: 'a text', float: 'a number', int: 'a whole number', bool: 'true or false'}
 
 GENERAL: Mapping[str, Known] = {
@@ -98,6 +108,8 @@ GENERAL: Mapping[str, Known] = {
     'isolation.topic': Known(str, '/isolation', 'topic that says which sensors are faulty'),
     'isolation.type': Known(str, DIAGNOSTICS, 'message type of the isolation topic',
                             choices=(DIAGNOSTICS, TEXT)),
+    'isolation.names': Known(
+        list, [''], 'names by which isolation speaks of a sensor, beside its own: NAME=SENSOR'),
     'without_estimate': Known(
         str, 'stop', 'what goes out for a failed sensor that no virtual sensor replaces: '
         'stop (nothing), hold (the last value), nan, pass (the failed reading)',
@@ -139,6 +151,8 @@ def named(design: Design) -> dict[str, Known]:
         known[f'{prefix}.{name}.topic'] = Known(str, None, f'topic on which {name} {use}')
         known[f'{prefix}.{name}.type'] = Known(str, None, f'message type of {name}')
         known[f'{prefix}.{name}.field'] = Known(str, None, f'field of the message that is {name}')
+        known[f'{prefix}.{name}.publisher'] = Known(
+            str, '', f'node whose messages alone count for {name}; default: any')
         if prefix == 'commands':
             continue
         known[f'sensors.{name}.input'] = Known(

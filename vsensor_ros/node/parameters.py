@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import Live, Policy
+from vsensor_ros.engine.isolation_names import Names, Wrong
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN
@@ -45,6 +46,7 @@ class Settings:
     autostart: bool
     isolation_topic: str
     isolation_type: str
+    isolation_names: Names
     sensors: tuple[Sensor, ...]  # in the design's order
     commands: tuple[Command, ...]
     live: Live
@@ -75,6 +77,7 @@ def read(node: Node) -> Settings:
         # without the design the names of the sensors are not known, nor what is missing
         values.update(_check(named(design), given, where, problems))
         known.update(named(design))
+    names = _names(design, values, where, problems)
     endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
     if design is not None:
         quality = qos_parameters(endpoints.ends(node))
@@ -85,12 +88,12 @@ def read(node: Node) -> Settings:
              and not (problems and name.startswith(f'{QOS}.'))], known, where))
     if problems:
         raise Refused(problems)
-    assert design is not None and endpoints.isolation is not None
+    assert design is not None and endpoints.isolation is not None and names is not None
     return Settings(
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
-        endpoints.isolation, values['isolation.type'], endpoints.sensors, endpoints.commands,
-        _live(design, values))
+        endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
+        endpoints.commands, _live(design, values))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -197,6 +200,18 @@ def _unknown(names: Sequence[str], known: Iterable[str], where: str) -> list[Bad
         problems.append(BadInput(where, '', f'and {len(names) - MOST_LISTED} more parameters '
                                  'that there are not', 'leave them out'))
     return problems
+
+
+def _names(design: Design | None, values: Mapping[str, Any], where: str,
+           problems: list[BadInput]) -> Names | None:
+    """Return by which names isolation speaks of the sensors; append a problem if it is wrong."""
+    if design is None or 'isolation.names' not in values:
+        return None
+    try:
+        return Names.of(design.sensors, values['isolation.names'])
+    except Wrong as wrong:
+        problems.append(BadInput(where, 'isolation.names', wrong.problem, wrong.mend))
+        return None
 
 
 def _own(values: Mapping[str, Any], sensor: str, key: str) -> Any:

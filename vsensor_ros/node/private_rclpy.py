@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
+import ctypes
 from typing import Any
 
 from rclpy.context import Context
@@ -45,6 +46,71 @@ def taker(subscription: Subscription) -> Callable[[Any, bool], Any]:
     """
     take: Callable[[Any, bool], Any] = subscription.handle.take_message
     return take
+
+
+class _Info(ctypes.Structure):
+    """rmw_message_info_t, and some space more."""
+
+    _fields_ = (('source_timestamp', ctypes.c_int64), ('received_timestamp', ctypes.c_int64),
+                ('publication', ctypes.c_uint64), ('reception', ctypes.c_uint64),
+                ('implementation', ctypes.c_void_p), ('gid', ctypes.c_uint8 * 16),
+                ('from_intra_process', ctypes.c_bool), ('more', ctypes.c_uint8 * 64))
+
+
+class _Allocator(ctypes.Structure):
+    """rcutils_allocator_t."""
+
+    _fields_ = tuple((name, ctypes.c_void_p) for name in (
+        'allocate', 'deallocate', 'reallocate', 'zero_allocate', 'state'))
+
+
+class _Bytes(ctypes.Structure):
+    """rcutils_uint8_array_t."""
+
+    _fields_ = (('buffer', ctypes.c_void_p), ('length', ctypes.c_size_t),
+                ('capacity', ctypes.c_size_t), ('allocator', _Allocator))
+
+
+class IdentifyingTaker:
+    """
+    Takes one message, as what `taker` returns does, but with its 'publisher_gid' in the info.
+
+    That is the `endpoint_gid` of the graph. rclpy leaves it out of what it hands on; rcl has it.
+    """
+
+    def __init__(self, subscription: Subscription) -> None:
+        """Prepare; raises OSError or AttributeError, see `identifying_taker`."""
+        rcl, rcutils = ctypes.PyDLL('librcl.so'), ctypes.PyDLL('librcutils.so')
+        self._take, self._forget = rcl.rcl_take_serialized_message, rcutils.rcutils_reset_error
+        self._take.argtypes = (ctypes.c_void_p,) * 4
+        self._end = rcutils.rcutils_uint8_array_fini
+        rcutils.rcutils_get_default_allocator.restype = _Allocator
+        self._handle, self._info = subscription.handle, _Info()
+        self._bytes = _Bytes(allocator=rcutils.rcutils_get_default_allocator())
+
+    def __call__(self, kind: Any, raw: bool) -> tuple[bytes, dict[str, Any]] | None:
+        """Return a message as bytes, and the middleware's facts; None: there is none."""
+        info, taken = self._info, self._bytes
+        with self._handle:
+            if self._take(self._handle.pointer, ctypes.byref(taken), ctypes.byref(info), None):
+                self._forget()
+                return None
+        return ctypes.string_at(taken.buffer, taken.length), {
+            'source_timestamp': info.source_timestamp,
+            'received_timestamp': info.received_timestamp, 'publisher_gid': bytes(info.gid)}
+
+    def __del__(self) -> None:
+        """Free what the last message was written into."""
+        if hasattr(self, '_bytes') and self._bytes.buffer:
+            self._end(ctypes.byref(self._bytes))
+
+
+def identifying_taker(subscription: Subscription) -> IdentifyingTaker | None:
+    """Return what tells who sent a message; None: this release of rcl cannot."""
+    try:
+        return IdentifyingTaker(subscription)
+    except (OSError, AttributeError):
+        return None
 
 
 def take_all(subscription: Subscription,

@@ -28,8 +28,11 @@ from vsensor_ros.engine import (
     Substitute,
     together,
 )
+from vsensor_ros.node.cdr import Reader
+from vsensor_ros.node.endpoints import Command, Sensor
 from vsensor_ros.node.estimates import Estimates
-from vsensor_ros.node.intake import commands_taker, not_sent, take_readings
+from vsensor_ros.node.inlet import Inlet
+from vsensor_ros.node.intake import not_sent, take_commands, take_readings
 from vsensor_ros.node.log import Log
 from vsensor_ros.node.pace import Health, Pace
 from vsensor_ros.node.parameters import DIAGNOSTICS, Refused, Settings
@@ -72,29 +75,40 @@ class Replacer:
         self._time: Callable[[], int | None] = time.time_ns if clock is None else clock.read
         self.topics = open_topics(node, group, settings.sensors)
         self.engine = self._start_engine(self.topics)
+        names = settings.isolation_names
         self.reports = Reports(
             node, group, settings.isolation_topic,
-            Statuses(settings.design.sensors, settings.isolation_topic == DIAGNOSTICS_TOPIC)
-            if settings.isolation_type == DIAGNOSTICS else Text(settings.design.sensors),
+            Statuses(names, settings.isolation_topic == DIAGNOSTICS_TOPIC)
+            if settings.isolation_type == DIAGNOSTICS else Text(names), names,
             lambda text, subject: self.log.say(text, subject=subject))
         self.sources: tuple[IsolationSource, ...] = (self.reports,)
         self.start = Start(self.reports, self.engine.heard_any,
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
         takers: list[tuple[Subscription, Callable[[], int]]] = [
-            *((s, self._take_isolation) for s in self.reports.subscriptions),
-            *((t.subscription, partial(take_readings, t, self.engine, self.log))
-              for t in self.topics)]
-        self.readers = {t.subscription.topic_name: t.reader for t in self.topics}
+            (s, self._take_isolation) for s in self.reports.subscriptions]
+        self.inlets: list[Inlet] = []
+        for topic in self.topics:
+            inlet = self._inlet(topic.subscription, topic.reader, topic.sensors)
+            takers.append((topic.subscription, partial(
+                take_readings, topic, inlet, self.engine, self.log)))
         for command in settings.commands:
             subscription = subscribe(node, group, command.kind, command.topic, LISTEN)
-            reader, take = commands_taker(command, subscription, self.engine)
-            self.readers[command.topic] = reader
-            takers.append((subscription, take))
+            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor.path]),
+                                [command])
+            takers.append((subscription, partial(take_commands, command, inlet, self.engine)))
+        self.readers = {inlet.topic: inlet.reader for inlet in self.inlets}
         if clock is not None:
             takers.insert(0, (clock.subscription, _nothing))  # `_time` looks there itself
         self.subscriptions = tuple(subscription for subscription, _ in takers)
         self._takers = {key_of(subscription): take for subscription, take in takers}
+
+    def _inlet(self, subscription: Subscription, reader: Reader,
+               sources: Sequence[Sensor | Command]) -> Inlet:
+        """Open the way in for the messages of a subscription."""
+        self.inlets.append(Inlet(self.node, subscription, reader, sources,
+                                 partial(self.engine.leave_out, sources[0].name)))
+        return self.inlets[-1]
 
     def _start_engine(self, topics: Sequence[Topic]) -> Engine:
         settings = self.settings

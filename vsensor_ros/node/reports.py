@@ -9,7 +9,9 @@ sensors of which nothing newer was heard, by the times at which the messages wer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
 import time
 from typing import Any, Protocol
 
@@ -20,13 +22,19 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from vsensor_ros.engine import isolation, IsolationReport
+from vsensor_ros.engine.isolation_names import Names
 from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.diagnostics import LOOP, MARKS
 from vsensor_ros.node.polling import DEPTH, drain, LISTEN_RELIABLY, Polled, subscribe
 from vsensor_ros.reason import Reason
 
 LATE = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                   durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MOST = 50  # messages looked at in one poll; the rest wait
+LATELY = 60.0  # s for which a name that is no sensor's is told after it was heard
+MOST_STRANGERS = 20  # of these, remembered
+MOST_NAMES = 4096  # for sensors, by patterns, that are told apart
+_OF_A_REPLACER = f': {LOOP}\0'.encode()  # in its /diagnostics alone
 _TWICE = 4 * DEPTH  # live messages remembered until the other subscription has heard them, too
 
 
@@ -39,9 +47,11 @@ class Wording(Protocol):
     def concerns(self, raw: bytes) -> bool:
         """Tell whether a serialized message may name a sensor; cheap."""
 
-    def understand(self, message: Any, faulty: frozenset[str],
-                   ) -> tuple[isolation.Isolation, frozenset[str]]:
-        """Return the faulty sensors after a message, and of which sensors it speaks."""
+    def resembles(self, raw: bytes) -> bool:
+        """Tell whether one that does not may have a name that sounds like a sensor's; cheap."""
+
+    def understand(self, message: Any) -> isolation.Said:
+        """Return what a message says."""
 
 
 class Statuses:
@@ -49,20 +59,23 @@ class Statuses:
 
     kind = DiagnosticArray
 
-    def __init__(self, sensors: Collection[str], shared: bool) -> None:
-        self.shared, self._sensors = shared, frozenset(sensors)
-        self._ordered = tuple(sensors)
+    def __init__(self, names: Names, shared: bool) -> None:
+        self._names, self.shared = names, shared
 
     def concerns(self, raw: bytes) -> bool:
         """Tell whether a serialized message may name a sensor; cheap."""
-        return isolation.names_one(raw, self._ordered)
+        return (not self.shared or isolation.may_name_one(raw, self._names)) and \
+            isolation.names_one(raw, self._names)
 
-    def understand(self, message: Any, faulty: frozenset[str],
-                   ) -> tuple[isolation.Isolation, frozenset[str]]:
-        """Return the faulty sensors after a message, and of which sensors it speaks."""
-        return (isolation.from_statuses(((s.name, s.level) for s in message.status),
-                                        self._ordered, faulty, self.shared),
-                self._sensors.intersection(s.name for s in message.status))
+    def resembles(self, raw: bytes) -> bool:
+        """Tell whether one that does not may have a name that sounds like a sensor's; cheap."""
+        return isolation.may_name_one(raw, self._names) and _OF_A_REPLACER not in raw
+
+    def understand(self, message: Any) -> isolation.Said:
+        """Return what a message says; what replacers say of themselves is no isolation."""
+        return isolation.from_statuses(
+            ((s.name, s.level, s.hardware_id) for s in message.status
+             if not any(v.key in MARKS for v in s.values)), self._names, self.shared)
 
 
 class Text:
@@ -70,34 +83,62 @@ class Text:
 
     kind, shared = String, False
 
-    def __init__(self, sensors: Collection[str]) -> None:
-        self._sensors = tuple(sensors)
+    def __init__(self, names: Names) -> None:
+        self._names = names
 
     def concerns(self, raw: bytes) -> bool:
         """Tell whether a serialized message may name a sensor; cheap."""
-        return isolation.names_one_in_text(raw, self._sensors)
+        return isolation.names_one_in_text(raw, self._names)
 
-    def understand(self, message: Any, faulty: frozenset[str],
-                   ) -> tuple[isolation.Isolation, frozenset[str]]:
-        """Return the faulty sensors after a message, which speaks of all."""
-        return (isolation.from_text(message.data, self._sensors, faulty),
-                frozenset(self._sensors))
+    def resembles(self, raw: bytes) -> bool:
+        """Tell nothing: nobody else speaks there."""
+        return False
+
+    def understand(self, message: Any) -> isolation.Said:
+        """Return what a message says, which is of all sensors."""
+        return isolation.from_text(message.data, self._names)
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """A name on the topic that is no sensor's."""
+
+    heard: float  # s, the last time, by a steady clock
+    faulty: bool  # it was said to be
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What was wrong with one message, in words that are made only if they are wanted."""
+
+    topic: str
+    problems: tuple[str, ...]
+    strangers: Sequence[str]
+    names: Names
+
+    def __str__(self) -> str:
+        told = [*self.problems, *map(self.names.tell, self.strangers[:isolation.FEW])]
+        if (more := len(self.strangers) - isolation.FEW) > 0:
+            told.append(f'and {more} more that are not sensors')
+        return f'{self.topic}: {"; ".join(told)}'
 
 
 class Reports:
     """A source of isolation: what its topic says, from both subscriptions."""
 
-    def __init__(self, node: Node, group: Polled, topic: str, wording: Wording,
-                 say: Callable[[str, str], None]) -> None:
+    def __init__(self, node: Node, group: Polled, topic: str, wording: Wording, names: Names,
+                 say: Callable[[object, str], None]) -> None:
         """Open the topic. say: is told an error and its subject."""
-        self.topic, self._wording, self._say = topic, wording, say
+        self.topic, self._wording, self._names, self._say = topic, wording, names, say
         self._live = subscribe(node, group, wording.kind, topic, LISTEN_RELIABLY)
         # the parameters of the topic's QoS are those of the other one
         self._late = subscribe(node, group, wording.kind, topic, LATE, overridden=False)
         self.subscriptions: tuple[Subscription, ...] = (self._live, self._late)
-        self._faulty: dict[str, int] = {}  # with the time since which they are
+        # by sensor and the name that stood for it: since when it is faulty, by that name
+        self._faulty: dict[isolation.Key, int] = {}
         self._heard: dict[tuple[int, bytes], None] = {}
-        self._said: dict[str, int] = {}  # by sensor: when its last message was sent
+        self._said: dict[isolation.Key, int] = {}  # likewise: when its last message was sent
+        self._strangers: dict[str, Stranger] = {}  # the latest last
         self._allowances = {  # by whether a message names a sensor
             True: isolation.Allowance(),
             False: isolation.Allowance(isolation.STRANGERS, rate=isolation.STRANGERS)}
@@ -108,8 +149,23 @@ class Reports:
         self.thrown_away = 0  # of these, not even read
 
     def report(self) -> IsolationReport:
-        """Return who is faulty now, of whom anything was said, and since when."""
-        return IsolationReport(dict(self._faulty), frozenset(self._said))
+        """Return who is faulty now, by any name, of whom anything was said, and since when."""
+        faulty: dict[str, int] = {}
+        for (sensor, _), since in self._faulty.items():
+            faulty[sensor] = min(since, faulty.get(sensor, since))
+        return IsolationReport(faulty, frozenset(sensor for sensor, _ in self._said))
+
+    def strangers(self) -> list[str]:
+        """Return which names that are no sensor's were heard lately, and matter; a few."""
+        now = time.monotonic()
+        return [name for name, stranger in reversed(self._strangers.items())
+                if now - stranger.heard < LATELY and self._matters(name, stranger.faulty)
+                ][:isolation.FEW]
+
+    def _matters(self, name: str, faulty: bool) -> bool:
+        """Tell whether a stranger may be a sensor of which nothing is known."""
+        alike = self._names.alike(name)
+        return faulty or not any(sensor == alike for sensor, _ in self._said)
 
     @property
     def known(self) -> bool:
@@ -145,26 +201,54 @@ class Reports:
         late: only who comes late was told, so that it counts for those sensors alone of which
         nothing newer was said.
         """
-        wording, faulty = self._wording, frozenset(self._faulty)
-        ours = len(raw) <= isolation.LARGEST and wording.concerns(raw)
-        if wording.shared and not ours and len(raw) <= isolation.LARGEST:
-            return  # others' business
+        wording, fits = self._wording, len(raw) <= isolation.LARGEST
+        ours = fits and wording.concerns(raw)
+        others = wording.shared and not ours and fits  # others' business
+        if others and not wording.resembles(raw):
+            return
         self._allowances[ours], refused = self._allowances[ours].admit(
             len(raw), time.monotonic_ns())
         message = None if refused else decode(wording.kind, raw)
-        if message is None:
-            problems: tuple[str, ...] = (refused or str(Reason('unreadable')),)
+        if others and message is None:
+            return
+        if refused:
+            self.thrown_away += 1
+            self._complain('thrown away', refused, f'{self.thrown_away} thrown away so far')
+        elif message is None:
+            self._complain('isolation', str(Reason('unreadable')))
         else:
-            said, spoken = wording.understand(message, faulty)
-            problems = said.problems
-            counts = {s for s in spoken if not late or self._said.get(s, 0) < sent}
-            for name in counts:
-                self._said[name] = max(sent, self._said.get(name, 0))
-            after = faulty - counts | said.faulty & counts
-            self._faulty = {s: self._faulty.get(s, now) for s in sorted(after)}
-        if problems:
-            self.not_used += 1
-            self.thrown_away += refused is not None
-            self._say(f'{self.topic}: {"; ".join(problems)}' + (
-                f' ({self.thrown_away} thrown away so far)' if refused else ''),
-                'thrown away' if refused else 'isolation')
+            self._take(wording.understand(message), sent, now, late)
+
+    def _take(self, said: isolation.Said, sent: int, now: int, late: bool) -> None:
+        problems = said.problems
+        for key, faulty in said.faulty.items():
+            if late and self._said.get(key, 0) >= sent:
+                continue
+            if key not in self._said and len(self._said) >= MOST_NAMES and key[0] != key[1]:
+                problems = (*problems, f'more than {MOST_NAMES} names; the others are ignored')
+                break
+            self._said[key] = max(sent, self._said.get(key, 0))
+            if faulty:
+                self._faulty.setdefault(key, now)
+            else:
+                self._faulty.pop(key, None)
+        new = self._meet(said.strangers)
+        if problems or (any(said.strangers.values()) and not self._wording.shared):
+            self._complain('isolation', *problems, strangers=tuple(said.strangers))
+        elif new:
+            self._say(Trouble(self.topic, (), new, self._names), 'strangers')
+
+    def _meet(self, strangers: Mapping[str, bool]) -> list[str]:
+        """Remember names that are no sensor's; return those that are new, and matter."""
+        new = []
+        for name, faulty in islice(strangers.items(), MOST_STRANGERS):
+            if self._strangers.pop(name, None) is None and self._matters(name, faulty):
+                new.append(name)
+            self._strangers[name] = Stranger(time.monotonic(), faulty)
+            if len(self._strangers) > MOST_STRANGERS:
+                del self._strangers[next(iter(self._strangers))]
+        return new
+
+    def _complain(self, subject: str, *problems: str, strangers: tuple[str, ...] = ()) -> None:
+        self.not_used += 1
+        self._say(Trouble(self.topic, problems, strangers, self._names), subject)

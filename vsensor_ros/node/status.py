@@ -8,7 +8,9 @@ which is cheap; the messages are made of it outside, so that the loop never wait
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import lru_cache
 import math
 import time
 
@@ -29,16 +31,19 @@ from vsensor_ros.node.diagnostics import (
     Report,
     Scene,
 )
-from vsensor_ros.node.graph import Complaint, complaints, ends_of
+from vsensor_ros.node.graph import Complaint, complaints, ends_of, publishers, silent_isolation
 from vsensor_ros.node.pace import Health
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
+from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
+from vsensor_ros.node.reserve import Chance, chance, origins_of, without_reserve
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes
 LOOK = 2.0  # s between two looks at the graph
 MOST_LINES = 10  # in the log after one look
 MOST_TOLD = 1000  # complaints that are remembered, not to be said again
+GRACE = 5.0  # s for which a reserve may be lacking before it is a warning: all has to start
 QUIET = 5.0  # s between two log lines that say the same of a channel
 WINDOW = 1.0  # s that rates are taken over, at least
 THROWN = 'thrown away'  # what is counted under that name lately; no sensor can be called so
@@ -74,10 +79,15 @@ class Reporter:
         self.active = False
         self.ends = ends_of(replacer.settings)
         self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
+        self._isolation = replacer.settings.isolation_topic
+        self._inputs = {self._isolation, *(inlet.topic for inlet in replacer.inlets)}
+        self._origins = origins_of(replacer.settings)
+        self._tell = lru_cache(MOST_STRANGERS)(replacer.settings.isolation_names.tell)
         self.found: tuple[Complaint, ...] = ()  # on the graph, at the last two looks
         self._suspected: set[Complaint] = set()  # at the last look
         self._told: set[Complaint] = set()
         self._lately = Lately()
+        self._lacking: dict[str, float] = {}  # by channel: since when it has no reserve, in s
         self._rates = Rates()
         self._spoken: dict[tuple[str, str], float] = {}  # by channel and source: when logged
         self._logged: dict[str, str] = {}  # by channel: the source logged last
@@ -96,7 +106,7 @@ class Reporter:
 
     def turn(self, active: bool) -> None:
         """Tell from now on that it is active, or not; what was lately is no matter then."""
-        self.active, self._lately = active, Lately()
+        self.active, self._lately, self._lacking = active, Lately(), {}
 
     def close(self) -> None:
         """Close the topics."""
@@ -129,10 +139,12 @@ class Reporter:
         now = self._reported = time.monotonic()
         with self.replacer.lock:
             engine, health = self.replacer.snapshot(), self.replacer.health()
+            strangers = self.replacer.reports.strangers()
             state = 'inactive' if not self.active else \
                 'starting' if self.replacer.start.waits else 'active'
         channels = engine.channels
         rates = self._rates.look({c.name: c.readings for c in channels}, now)
+        self._note_reserves(channels if state == 'active' else (), now)
         scene = self._scene(engine, now)
         sharing = defaultdict(set)
         for channel in channels:
@@ -140,7 +152,8 @@ class Reporter:
         reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
             if state == 'active' else []
         loop = describe_loop(engine, state, self._lately.grown(LOOP, engine.left_out, now),
-                             self._about(None),
+                             [*self._about(None), *(
+                                 f'{self._isolation}: {self._tell(name)}' for name in strangers)],
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
         prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
@@ -153,20 +166,31 @@ class Reporter:
             [*((prefix + c.name, r, channel_facts(c, scene, rates.get(c.name, math.nan)))
                for c, r in told),
              (prefix + LOOP, loop, pace)], stamp))
-        for told_now in reports:
+        for channel, told_now in told:
             self._log(told_now, now)
+            self._log_reserve(channel, scene, now)
 
     def _scene(self, engine: EngineState, now: float) -> Scene:
         settings, channels = self.replacer.settings, engine.channels
         return Scene(
             self.node.get_fully_qualified_name(), settings.design, self.replacer.policies,
             engine.faulty, {c.name: self._about(c.name) for c in channels},
-            {c.name: self._lately.grown(c.name, c.switches, now) for c in channels})
+            {c.name: self._lately.grown(c.name, c.switches, now) for c in channels},
+            frozenset(name for name, since in self._lacking.items() if now - since >= GRACE),
+            self._origins)
+
+    def _note_reserves(self, channels: Iterable[ChannelState], now: float) -> None:
+        """Note since when real channels lack a reserve that they should have."""
+        for channel in channels:
+            if channel.source == 'real' and chance(channel.reserve) is Chance.MEND:
+                self._lacking.setdefault(channel.name, now)
+            else:
+                self._lacking.pop(channel.name, None)
 
     def _about(self, name: str | None) -> list[str]:
         """Return what was found on the graph about a channel; None: about no channel."""
         return [str(c) for c in self.found if (
-            c.topic in self.topics[name] if name
+            c.topic in self.topics[name] and c.about in ('', name) if name
             else not any(c.topic in topics for topics in self.topics.values()))]
 
     def _log(self, report: Report, now: float) -> None:
@@ -184,9 +208,30 @@ class Reporter:
         elif before:
             log.info(line)
 
+    def _log_reserve(self, channel: ChannelState, scene: Scene, now: float) -> None:
+        """Log now and then who could not be replaced, and once who never can."""
+        name, reserve, log = channel.name, channel.reserve, self.node.get_logger()
+        if reserve is None or now < self._spoken.get((name, 'reserve'), 0.0):
+            return
+        line = f'{name}: {"; ".join(without_reserve(name, reserve, scene.origins))}'
+        if name in scene.lacking:
+            self._spoken[name, 'reserve'] = now + LATELY
+            log.warning(line)
+        elif chance(reserve) is Chance.NEVER and not scene.faulty:
+            self._spoken[name, 'reserve'] = math.inf
+            log.info(line)
+
     def look_around(self) -> None:
         """Look at the graph; what is wrong at two looks is said: half discovered looks wrong."""
+        heard = publishers(self.node, self._inputs)
         seen = set(complaints(self.node, self.ends))
+        seen.update(silent_isolation(self._isolation, heard[self._isolation]))
+        with self.replacer.lock:
+            for inlet in self.replacer.inlets:
+                seen.update(inlet.complaints(heard[inlet.topic]))
+                inlet.watch(len(heard[inlet.topic]) > 1)
+        self._origins = {name: replace(origin, publishers=heard[origin.topic])
+                         for name, origin in self._origins.items()}
         self.found = tuple(sorted(seen & self._suspected, key=str))
         for complaint in [c for c in self.found if c not in self._told][:MOST_LINES]:
             self.node.get_logger().error(str(complaint))

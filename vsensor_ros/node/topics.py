@@ -18,7 +18,7 @@ from vsensor_ros.node.accessor import compile_holder, has_stamp, put_stamp, trac
 from vsensor_ros.node.cdr import decode, Reader, Reading
 from vsensor_ros.node.endpoints import Sensor
 from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe
-from vsensor_ros.node.private_rclpy import sender, taker
+from vsensor_ros.node.private_rclpy import sender
 from vsensor_ros.node.qos import qos_options
 from vsensor_ros.node.template import blank, Template
 from vsensor_ros.node.variance import compile_variance
@@ -38,7 +38,7 @@ class Topic:
         self.kind = kind = sensors[0].kind
         self.reader = Reader(kind, [s.accessor.path for s in sensors])
         self.stamped = has_stamp(kind)
-        self.take, self.send = taker(subscription), sender(publisher)
+        self.send = sender(publisher)
         self._templates: dict[int, Template] = {}  # by number of the sender
         self._set_variance = [compile_variance(kind, s.accessor.path) for s in sensors]
         self._named = [(compile_holder(steps[:i]), step.field, step.names)

@@ -1,0 +1,82 @@
+"""What is told of a sensor that no virtual sensor could speak for if it failed now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from vsensor_ros.node.parameters import Settings
+from vsensor_ros.reason import Reason
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a sensor or a command is heard."""
+
+    topic: str
+    key: str  # what the parameters that say so begin with
+    publishers: tuple[str, ...] | None = None  # nodes that publish there; None: not known yet
+
+
+class Chance(Enum):
+    """Whether what keeps a reserve from serving passes."""
+
+    SERVES = 'nothing does'
+    PASSES = 'passes by itself'
+    MEND = 'may be mended'
+    NEVER = 'is known from the design'
+
+
+# codes of reasons; of those that stand in neither, something may be mended
+_PASSES = {'converging', 'converging, not proved', 'about to start', 'ready again',
+           'ready just now'}
+_NEVER = {'not designed', 'no design', 'refused', 'several rows', 'start unknown'}
+
+
+def chance(reserve: Reason | None) -> Chance:
+    """Judge why a reserve could not serve: by the best of those there are."""
+    if reserve is None:
+        return Chance.SERVES
+    codes = {reason.code for reason in _leaves(reserve)}
+    if codes & _PASSES:
+        return Chance.PASSES
+    return Chance.NEVER if codes <= _NEVER else Chance.MEND
+
+
+def _leaves(reason: Reason) -> Iterator[Reason]:
+    """Yield the reasons that a reason is made of, none of which is made of others."""
+    parts = [fact for _, fact in reason.facts if isinstance(fact, Reason)]
+    if not parts:
+        yield reason
+    for part in parts:
+        yield from _leaves(part)
+
+
+def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -> list[str]:
+    """Say why nobody could speak for a sensor if it failed, and what to do about it."""
+    if (hope := chance(reserve)) is Chance.NEVER:
+        return [f'cannot be replaced ({reserve})']
+    parts = [f'could not be replaced now ({reserve})']
+    for reason in _leaves(reserve) if hope is Chance.MEND else ():
+        if reason.code == 'too uncertain':
+            parts.append(f'raise sensors.{name}.max_deviation, if that will do')
+        elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
+            parts.append(_mend(origin))
+    return list(dict.fromkeys(parts))
+
+
+def _mend(origin: Origin) -> str:
+    """Say what to do about a sensor or a command that is not heard."""
+    if origin.publishers:
+        return f'{", ".join(origin.publishers)} publishes on {origin.topic}: check what, and ' \
+            f'{origin.key}.field'
+    nobody = f'nobody publishes on {origin.topic}: ' if origin.publishers is not None else ''
+    which = 'input' if origin.key.startswith('sensors') else 'topic'
+    return f'{nobody}start who does, or correct {origin.key}.{which}'
+
+
+def origins_of(settings: Settings) -> dict[str, Origin]:
+    """Return where each sensor and each command is heard."""
+    return {**{s.name: Origin(s.input, f'sensors.{s.name}') for s in settings.sensors},
+            **{c.name: Origin(c.topic, f'commands.{c.name}') for c in settings.commands}}
