@@ -1,5 +1,6 @@
 """What is said of a topic, of what was seen and heard there."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -147,6 +148,13 @@ def test_two_publishers():
     assert one(findings(use(INPUT, both)))[0] == WARN  # one may be quiet
     assert findings(use(INPUT, both, sound(returns=50), said(50, lack=LACKING))) == []
     assert '/a (2 times)' in one(findings(use(INPUT, [party('/a'), party('/a')])))[1]
+
+
+def test_a_publisher_that_was_chosen():
+    both = replace(use(INPUT, [party('/a'), party('/b')], sound(returns=50)), chosen={'y': '/a'})
+    assert findings(both) == []
+    level, text = one(findings(replace(both, publishers=(party('/b'),))))
+    assert level == FAIL and '/a was chosen, and does not publish on /y_raw' in text
 
 
 def test_an_output_that_is_taken():

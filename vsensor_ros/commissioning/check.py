@@ -8,6 +8,7 @@ What it would need and lacks is explained by what is heard on each topic and who
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 import sys
 import time
@@ -40,7 +41,7 @@ from vsensor_ros.commissioning.silent_node import (
     SilentNode,
 )
 from vsensor_ros.lab.parameter_file import read_parameters
-from vsensor_ros.node.parameters import read, Refused, Settings
+from vsensor_ros.node.parameters import Command, read, Refused, Sensor, Settings
 from vsensor_ros.node.polling import LISTEN, Polled
 from vsensor_ros.node.private_rclpy import lacking, Waiting
 from vsensor_ros.node.qos import QOS
@@ -72,8 +73,17 @@ def check(path: Path, seconds: float, ros_args: Sequence[str]) -> int:
             for problem in refused.problems:
                 print(f'check: {problem}', file=sys.stderr)
             return 2
-    show(lay_out(report))
+    show(lay_out(replace(report, start=_start(parameters.node, ros_args))))
     return 1 if report.fails else 0
+
+
+def _start(node: str, ros_args: Sequence[str]) -> str:
+    """Return the remappings with which the replacer must be started to be this node."""
+    namespace, _, name = node.rpartition('/')
+    given = ' '.join(ros_args)
+    return ' '.join(f'-r {key}:={value}' for key, value, usual in (
+        ('__ns', namespace, ''), ('__node', name, 'replacer')) if value != usual
+        and f'{key}:=' not in given and not (key == '__node' and '__name:=' in given))
 
 
 def listen(node: SilentNode, settings: Settings, name: str, path: Path,
@@ -118,16 +128,17 @@ def uses_of(settings: Settings) -> list[Use]:
     """Return the topics that the parameters name, each once for each role."""
     uses: dict[tuple[str, str], Use] = {}
 
-    def add(topic: str, kind: str, role: str, channel: str, path: str, output: str = '') -> None:
-        use = uses.setdefault((topic, role), Use(topic, kind, role, {}, output=output))
-        assert isinstance(use.channels, dict)
-        use.channels[channel] = path
+    def add(topic: str, role: str, end: Sensor | Command, output: str = '') -> None:
+        use = uses.get((topic, role), Use(topic, end.type, role, {}, output=output))
+        uses[topic, role] = replace(
+            use, channels={**use.channels, end.name: end.accessor.path},
+            chosen={**use.chosen, **({end.name: end.publisher} if end.publisher else {})})
     for sensor in settings.sensors:
-        add(sensor.input, sensor.type, INPUT, sensor.name, sensor.accessor.path, sensor.output)
+        add(sensor.input, INPUT, sensor, sensor.output)
     for command in settings.commands:
-        add(command.topic, command.type, COMMAND, command.name, command.accessor.path)
+        add(command.topic, COMMAND, command)
     for sensor in settings.sensors:
-        add(sensor.output, sensor.type, OUTPUT, sensor.name, sensor.accessor.path)
+        add(sensor.output, OUTPUT, sensor)
     isolation = Use(settings.isolation_topic, settings.isolation_type, ISOLATION, {})
     return [*uses.values(), isolation]
 
@@ -163,7 +174,7 @@ def _seen(node: Node, replacer: Replacer, use: Use, ear: Ear | None) -> Use:
     if use.role == OUTPUT:
         ours = next(t.publisher.qos_profile for t in replacer.topics
                     if t.plan.output == use.topic)
-    return Use(use.topic, use.type, use.role, use.channels, publishers(node, use.topic, ends),
-               listeners(node, use.topic, ours) if use.role == OUTPUT else (),
-               None if ear is None else ear.heard, {} if ear is None else ear.heard.fields,
-               use.output)
+    seen = replace(use, publishers=publishers(node, use.topic, ends))
+    if use.role == OUTPUT:
+        return replace(seen, listeners=listeners(node, use.topic, ours))
+    return seen if ear is None else replace(seen, heard=ear.heard, fields=ear.heard.fields)

@@ -42,6 +42,7 @@ class CheckReport:
     findings: tuple[Finding, ...]  # the worst first
     outlooks: tuple[Outlook, ...]
     units: Mapping[str, str]
+    start: str = ''  # remappings that make the replacer this node
 
     @property
     def fails(self) -> int:
@@ -52,8 +53,9 @@ class CheckReport:
 
 def lay_out(report: CheckReport) -> list[Line]:
     """Return the lines that are printed."""
-    lines: list[Line] = [((f'{report.node} of {report.path}, listened for {report.seconds:g} s',
-                           'bold'),), ()]
+    started = f', if started with --ros-args {report.start}' if report.start else ''
+    lines: list[Line] = [((f'{report.node} of {report.path}, listened for {report.seconds:g} s'
+                           f'{started}', 'bold'),), ()]
     lines += _table(('TOPIC', 'USE', 'TYPE', 'QOS', 'RATE', 'STAMPS', 'WHO'),
                     [_topic(use, report) for use in report.uses])
     lines.append(())

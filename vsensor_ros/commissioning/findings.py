@@ -94,6 +94,7 @@ class Use:
     heard: Sound | None = None
     fields: Mapping[str, Field] = field(default_factory=dict)  # by path
     output: str = ''  # of an input: where it goes on
+    chosen: Mapping[str, str] = field(default_factory=dict)  # by channel: the node that counts
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def judge(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list[F
     found = _published(use, uses, world)
     if use.role != ISOLATION and use.heard is not None and use.heard.count:
         found += _fields(use) + _stamps(use, world) + _rates(use, world) + _twice(use)
-    return found
+    return found + _chosen(use)
 
 
 def judge_clock(world: World) -> list[Finding]:
@@ -297,7 +298,8 @@ def _twice(use: Use) -> list[Finding]:
         return []
     who = ' and '.join(f'{node} ({n} times)' if n > 1 else node for node, n in counted.items())
     shared = [name for name, path in use.channels.items()
-              if use.fields[path].lack is None]  # it was in every message, whoever sent it
+              if use.fields[path].lack is None  # it was in every message, whoever sent it
+              and name not in use.chosen]
     if not shared:
         return []
     if use.heard.returns and use.role == INPUT:
@@ -305,6 +307,15 @@ def _twice(use: Use) -> list[Finding]:
                         f'{", ".join(shared)}', 'end one, or give it a topic of its own')]
     return [Finding(WARN, (use.topic,), '', f'{who} publish on {use.topic}, and their fields are '
                     'the same', 'end one, unless only one speaks at a time')]
+
+
+def _chosen(use: Use) -> list[Finding]:
+    """Find nodes that were chosen and do not publish."""
+    there = {p.node for p in use.publishers}
+    group = 'commands' if use.role == COMMAND else 'sensors'
+    return [Finding(FAIL, (use.topic,), name, f'{name}: {node} was chosen, and does not publish on '
+                    f'{use.topic}', f'start it, or correct {group}.{name}.publisher')
+            for name, node in use.chosen.items() if there and node not in there]
 
 
 # --------------------------------------------------------------------------- where we would speak

@@ -59,12 +59,11 @@ class SilentNode(Node):
     """
     A node without a publisher or a service, /rosout and /parameter_events included.
 
-    `muted` holds what would have been opened, by resolved topic; `notebook` what would be logged.
+    `notebook` holds the errors that would be logged.
     """
 
     def __init__(self, name: str, context: Context, namespace: str = '',
                  overrides: Sequence[Parameter] = (), global_arguments: bool = True) -> None:
-        self.muted: dict[str, Mute] = {}
         self.notebook = Notebook()
         super().__init__(
             name, context=context, namespace=namespace, use_global_arguments=global_arguments,
@@ -83,8 +82,7 @@ class SilentNode(Node):
         resolved = self.resolve_topic_name(topic)
         if (overriding := options.get('qos_overriding_options')) is not None:
             override_qos(Publisher, self, resolved, qos, overriding)
-        self.muted[resolved] = mute = Mute(resolved, qos)
-        return mute
+        return Mute(resolved, qos)
 
 
 @contextmanager
