@@ -313,8 +313,8 @@ def _chosen(use: Use) -> list[Finding]:
     """Find nodes that were chosen and do not publish."""
     there = {p.node for p in use.publishers}
     group = 'commands' if use.role == COMMAND else 'sensors'
-    return [Finding(FAIL, (use.topic,), name, f'{name}: {node} was chosen, and does not publish on '
-                    f'{use.topic}', f'start it, or correct {group}.{name}.publisher')
+    return [Finding(FAIL, (use.topic,), name, f'{name}: {node} was chosen, and does not publish '
+                    f'on {use.topic}', f'start it, or correct {group}.{name}.publisher')
             for name, node in use.chosen.items() if there and node not in there]
 
 
