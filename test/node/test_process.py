@@ -76,10 +76,9 @@ def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_starting(parameter_file, number):
-    # told when main begins, so that the signal comes while the node's modules load
-    script = ('import sys; from vsensor_ros.command import replacer; '
-              'first = replacer.prepare_environment; '
-              'replacer.prepare_environment = lambda: (print(flush=True), first()); '
+    # a machine so busy that the node's modules take long to load
+    script = ('import sys, time; from vsensor_ros.command import replacer; '
+              'replacer.prepare_environment = lambda: (print(flush=True), time.sleep(600)); '
               f'sys.exit(replacer.main(["--ros-args", "--params-file", "{parameter_file}"]))')
     process = subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE, text=True,

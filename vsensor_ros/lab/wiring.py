@@ -7,6 +7,8 @@ import re
 from typing import Any
 
 import numpy as np
+from rclpy.exceptions import NameValidationException
+from rclpy.expand_topic_name import expand_topic_name
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.parameter_file import Parameters
@@ -36,6 +38,15 @@ class Wiring:
 def wiring_of(parameters: Parameters) -> Wiring:
     """Find the topics in a replacer's parameters; raise BadInput."""
     where, given = str(parameters.path), parameters.given
+    namespace, _, node = parameters.node.rpartition('/')
+
+    def resolve(topic: str, key: str) -> str:
+        try:
+            return str(expand_topic_name(topic, node, namespace or '/'))
+        except (ValueError, NameValidationException):
+            raise BadInput(where, key, f'{topic!r:.80} is not a topic name',
+                           'write it like /tank/level2') from None
+
     try:
         ports = {}
         names = (key.rpartition('.')[0] for key in given
@@ -43,15 +54,16 @@ def wiring_of(parameters: Parameters) -> Wiring:
         for place in dict.fromkeys(names):
             group, _, name = place.partition('.')
             kind = message_type(given[f'{place}.type'], where, f'{place}.type')
-            topic = source = given[f'{place}.topic']
+            topic = source = resolve(given[f'{place}.topic'], f'{place}.topic')
             if group == 'sensors':
-                source = given.get(f'{place}.input') or f'{topic}_raw'
+                source = resolve(given.get(f'{place}.input') or f'{topic}_raw',
+                                 f'{place}.input')
             ports[name] = Port(name, source, topic, kind, compile_accessor(
                 kind, given[f'{place}.field'], where, f'{place}.field'))
     except (KeyError, TypeError, AttributeError) as error:
         raise BadInput(where, '', f'lacks {error}'[:100], 'give replacer: ros__parameters: with '
                        'topic, type and field of each sensor and command') from None
-    return Wiring(ports, parameters.general('isolation.topic'),
+    return Wiring(ports, resolve(parameters.general('isolation.topic'), 'isolation.topic'),
                   message_type(parameters.general('isolation.type'), where, 'isolation.type'))
 
 

@@ -15,7 +15,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from vsensor_ros.engine import ChannelState, EngineState, Policy
-from vsensor_ros.node.reserve import Origin, without_reserve
+from vsensor_ros.node.reserve import Chance, chance, Origin, without_reserve
 from vsensor_ros.observers import Design
 from vsensor_ros.reason import Reason
 
@@ -107,7 +107,8 @@ def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> R
     level = LEVELS[source]
     if level == DiagnosticStatus.OK and len(parts) > 1:
         level = DiagnosticStatus.WARN
-    if source == 'real' and channel.reserve is not None:
+    if source == 'real' and chance(channel.reserve) in (Chance.PASSES, Chance.MEND):
+        assert channel.reserve is not None
         parts += without_reserve(name, channel.reserve, scene.origins)
         level = DiagnosticStatus.WARN if name in scene.lacking else level
     return Report(name, level, '; '.join(parts), channel.topic, source)
@@ -171,6 +172,7 @@ def describe_loop(engine: EngineState, state: str, left_out: int, complaints: Co
     if thrown_away:
         parts.append(f'{thrown_away} messages of isolation thrown away in {WINDOW:g} s, too many '
                      'or too large, so a fault may be missed; find who sends them')
+    parts += [str(command.trouble) for command in engine.commands if command.trouble is not None]
     parts += complaints
     level = DiagnosticStatus.OK if parts == ['active'] else DiagnosticStatus.WARN
     return Report(LOOP, level, '; '.join(parts), '', state)
@@ -183,6 +185,7 @@ def channel_facts(channel: ChannelState, scene: Scene, rate: float) -> dict[str,
         FAULTY: ', '.join(scene.faulty) or 'none',
         'switches': channel.switches,
         'last step': number(channel.last_step),
+        'reserve': channel.reserve or 'ready',
     }
     if not math.isnan(channel.since_s):
         facts['since [s]'] = f'{channel.since_s:.1f}'

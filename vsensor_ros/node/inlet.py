@@ -67,7 +67,11 @@ class Inlet:
                 yield Complaint(self.topic, f'{listed(rivals)} both say what {source.name} is; '
                                 f'stop one, or choose one with {_key(source)}', source.name)
         for source in self._sources:
-            if source.publisher and there and source.publisher not in there:
+            if source.publisher and self._identify is None:
+                yield Complaint(self.topic, f'this release of rcl does not tell who sent a '
+                                f'message, so {_key(source)} has no effect; leave it out',
+                                source.name)
+            elif source.publisher and there and source.publisher not in there:
                 yield Complaint(self.topic, f'{source.publisher} was chosen with {_key(source)}, '
                                 f'but does not publish here, as {listed(there)} does; start it, '
                                 'or choose another', source.name)

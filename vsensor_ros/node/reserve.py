@@ -33,6 +33,8 @@ _PASSES = {'converging', 'converging, not proved', 'about to start', 'ready agai
            'ready just now'}
 _NEVER = {'not designed', 'no design', 'refused', 'several rows', 'start unknown'}
 
+_NEVER_HEARD = {'no reading yet', 'no command yet'}
+
 
 def chance(reserve: Reason | None) -> Chance:
     """Judge why a reserve could not serve: by the best of those there are."""
@@ -62,18 +64,20 @@ def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -
         if reason.code == 'too uncertain':
             parts.append(f'raise sensors.{name}.max_deviation, if that will do')
         elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
-            parts.append(_mend(origin))
+            parts.append(_mend(origin, reason.code in _NEVER_HEARD))
     return list(dict.fromkeys(parts))
 
 
-def _mend(origin: Origin) -> str:
-    """Say what to do about a sensor or a command that is not heard."""
-    if origin.publishers:
-        return f'{", ".join(origin.publishers)} publishes on {origin.topic}: check what, and ' \
-            f'{origin.key}.field'
-    nobody = f'nobody publishes on {origin.topic}: ' if origin.publishers is not None else ''
-    which = 'input' if origin.key.startswith('sensors') else 'topic'
-    return f'{nobody}start who does, or correct {origin.key}.{which}'
+def _mend(origin: Origin, never_heard: bool) -> str:
+    """Say what to do about a sensor or a command that is not heard, now or at all."""
+    who, there = ', '.join(origin.publishers or ()), f'on {origin.topic}'
+    key = f'{origin.key}.{"input" if origin.key.startswith("sensors") else "topic"}'
+    if not never_heard:
+        return f'check {who}, which publishes {there}' if who else f'check who publishes {there}'
+    if who:
+        return f'{who} publishes {there}: check what, and {origin.key}.field'
+    nobody = f'nobody publishes {there}: ' if origin.publishers is not None else ''
+    return f'{nobody}start who does, or correct {key}'
 
 
 def origins_of(settings: Settings) -> dict[str, Origin]:
