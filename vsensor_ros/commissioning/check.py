@@ -41,7 +41,7 @@ from vsensor_ros.commissioning.silent_node import (
     SilentNode,
 )
 from vsensor_ros.lab.parameter_file import read_parameters
-from vsensor_ros.node.parameters import Command, read, Refused, Sensor, Settings
+from vsensor_ros.node.parameters import check_files, Command, read, Refused, Sensor, Settings
 from vsensor_ros.node.polling import LISTEN, Polled
 from vsensor_ros.node.private_rclpy import lacking, Waiting
 from vsensor_ros.node.qos import QOS
@@ -57,14 +57,15 @@ def check(path: Path, seconds: float, ros_args: Sequence[str]) -> int:
 
     0: all would work; 1: something would not; 2: the parameters are wrong. Raises BadInput.
     """
+    arguments = ['--params-file', str(path), *ros_args]
     parameters = read_parameters(path, ros_args)
     namespace, _, name = parameters.node.rpartition('/')
     if missing := lacking():
         raise BadInput('rclpy', '', f'lacks {missing[0]}', 'use the one of ROS 2 Jazzy')
-    with open_context(['--params-file', str(path), *ros_args]) as context:
+    with open_context(arguments) as context:
         try:
             with open_silent(context, name, namespace) as told:
-                settings = read(told)
+                settings = read(told, check_files(arguments))
                 kept = [told.get_parameter(key) for key in told.get_parameters_by_prefix('')
                         if key == 'use_sim_time' or key.startswith(f'{QOS}.')]
             with open_silent(context, own_name('check'), namespace, kept, False) as node:

@@ -1,4 +1,4 @@
-"""What would happen if each sensor failed now, as the replacer's own engine says it; pure."""
+"""What would happen if each sensor failed now, as the replacer's own engine says it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import math
 
 from vsensor_ros.commissioning.findings import FAIL, Finding, NOTE, Use, WARN
 from vsensor_ros.engine import ChannelState
+from vsensor_ros.node.reserve import Chance, chance
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
-
-WARMING = ('converging', 'converging, not proved', 'about to start')
-INPUTS = ('no reading yet', 'no command yet', 'input silent', 'input isolated')
 
 
 @dataclass(frozen=True)
@@ -37,11 +35,13 @@ def outlook(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None, 
         return Outlook(name, NOTE, f'not replaced, by design: {_short(refused)}', False)
     if why is None:
         return Outlook(name, NOTE, _ready(state, reserve, design))
-    while why.code == 'next best':
-        why = why.fact('exact' if why.fact('exact').code not in ('refused', 'no design')
-                       else 'next')
-    if why.code in WARMING:
+    hope = chance(why)
+    if hope is Chance.PASSES:
         return Outlook(name, NOTE, f'virtual sensor warms up: {why}')
+    if hope is Chance.NEVER and not state.fault_set:
+        return Outlook(name, NOTE, f'not replaced, by design: {why}', False)
+    while why.code == 'next best':
+        why = why.fact('next' if chance(why.fact('exact')) is Chance.NEVER else 'exact')
     cause = _cause(name, why, uses, findings)
     return Outlook(name, FAIL, f'cannot be replaced now: {cause or why}')
 
@@ -75,7 +75,7 @@ def _cause(name: str, why: Reason, uses: Sequence[Use],
            findings: Sequence[Finding]) -> Finding | None:
     """Return what was found of the input that a virtual sensor lacks."""
     facts: Mapping[str, object] = dict(why.facts)
-    missing = facts.get('name', name) if why.code in INPUTS else name
+    missing = facts.get('name', name)
     topics = {use.topic for use in uses if missing in use.channels}
     about = [f for f in findings if f.level >= WARN and topics & set(f.topics)
              and f.channel in ('', missing)]
