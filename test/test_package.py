@@ -16,7 +16,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer')
+COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer',
+            'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}
@@ -32,9 +33,11 @@ ARROWS = {  # room: what it may import besides itself
     'simulate': LEAVES | {'functions', 'plant'},
     'report': LEAVES | {'functions', 'plant', 'observers', 'designer', 'bank', 'simulate'},
     'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},
-    'command': LEAVES | {'plant', 'observers', 'designer', 'node', 'simulate', 'report', 'lab'},
+    'commissioning': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab'},
+    'command': LEAVES | {'plant', 'observers', 'designer', 'node', 'simulate', 'report', 'lab',
+                         'commissioning'},
 }
-WITH_ROS = {'node', 'lab', 'command'}  # the only rooms that may import ROS
+WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'pandas', 'pooch', 'rich',
         'sympy', 'threadpoolctl'}  # never on the machine
 

@@ -335,6 +335,17 @@ class Engine:
         return channel.state(self._switch.decisions[channel.name],
                              stream.why_silent(channel.name), stream.why_odd(channel.name))
 
+    def reserve(self, name: str) -> tuple[tuple[str, ...], float] | None:
+        """
+        Return who would speak for a sensor if it failed now; None: nobody.
+
+        That is the fault set of a virtual sensor, and its standard deviation [unit of the sensor].
+        """
+        for names, key in self._switch.designed[name]:
+            if self._switch.faulty <= names and self._stand_in.ready(key, name):
+                return key, self._bank.deviation(key, name)
+        return None
+
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
         return any(stream.heard(name) for stream in self._streams for name in stream.names)
