@@ -30,7 +30,7 @@ INCREASING = 0.75  # of their stamps that must be newer than the one before
 LATE = 2  # intervals between its messages, and periods, above which a driver is late
 MISSING = 2.5  # times its longest recent silence after which a late driver has stopped
 PAUSE = 100_000_000  # ns for which it may say nothing on a busy computer, at least
-WAITING = 10  # messages of a late driver that may come between two ticks
+WAITING = 20  # messages of a late driver between two ticks that are kept, at most
 
 
 class Waiting(NamedTuple):
