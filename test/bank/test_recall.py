@@ -1,4 +1,4 @@
-"""What was at an earlier time, and states that are stepped anew. Truth: z' = u - z, closed form."""
+"""What was at an earlier time, and states that are stepped anew. Truth: z' = u - z, solved."""
 
 import math
 

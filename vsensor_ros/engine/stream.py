@@ -208,12 +208,20 @@ class Stream:
         """Return what is to be said of a channel that is live: of late not all of it went on."""
         return self._withheld.why(name, NOT_NEWER, self._clock.now)
 
+    def composes(self, name: str) -> bool:
+        """Tell whether messages with a channel are composed, so that a live one does not go on."""
+        sender = self.senders.known(name)
+        return sender is not None and sender.composes
+
     def lag(self, name: str) -> int:
         """Return by how much older than the tick estimates of a channel are wanted."""
         sender = self.senders.known(name)
         if sender is None:
             return 0
-        return sender.lag if sender.composes else sender.lateness(self._period)
+        return sender.lag if sender.composes else self._lateness(sender)
+
+    def _lateness(self, sender: Sender) -> int:
+        return sender.lateness(self._period, 2 * self._longest)
 
     def driver_silence(self, name: str) -> Reason | None:
         """Return for how long a channel's driver has been silent, None when it is not."""
@@ -251,7 +259,7 @@ class Stream:
         """Let a sender begin or end to be one whose messages are composed."""
         failed = not self.failed.isdisjoint(sender.channels)
         if failed and not sender.composes:
-            sender.begin(self._period)
+            sender.begin(self._lateness(sender))
             if sender.offset:
                 self._say('error', Reason.of('clock of its own', topic=self.plan.source,
                                              seconds=sender.offset * 1e-9))
