@@ -232,7 +232,6 @@ def test_lateness_that_varies(bench):
 
 
 def test_what_a_late_driver_is_computed_from_is_complete(bench):
-    """A virtual sensor that integrates readings as late as those it stands in for."""
     m = LateMachine(bench)
     m.run(400)
     m.isolate('y2')
