@@ -232,7 +232,6 @@ def test_lateness_that_varies(bench):
 
 
 def test_what_a_late_driver_is_computed_from_is_complete(bench):
-    """A virtual sensor that integrates readings as late as those it stands in for."""
     m = LateMachine(bench)
     m.run(400)
     m.isolate('y2')
@@ -319,6 +318,22 @@ def test_a_clock_that_stands_still_withholds_nothing(bench, began):
     m.isolate('y2')
     m.step(1.5, 99.0, 5)
     assert m.sent and m.sent[-1].stamp == m.now
+
+
+def test_what_is_composed_no_more_while_the_clock_stands_still_is_not_well(bench):
+    m = Machine(bench, shared=True)
+    m.step(1.5, 3.0, 20)
+    m.isolate('y2')
+    m.step(1.5, 99.0, 5)
+    assert m.state('y1').source == 'real'
+    for i in range(5):
+        assert m.hear(0, 1.5, 99.0, stamp=m.now + i * PERIOD) is None
+    y1, y2 = m.engine.snapshot(1e-9 * m.now + 3.0).channels
+    for told in (y1, y2):  # one is healthy, but its messages do not go on
+        assert told.source == 'none' and math.isnan(told.value)
+        assert str(told.reason).startswith('the clock stands still')
+    m.step(1.5, 99.0)
+    assert m.state('y1').source == 'real'
 
 
 def test_a_clock_that_was_looked_at_a_while_ago_refuses_no_reading(bench):

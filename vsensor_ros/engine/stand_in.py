@@ -10,8 +10,9 @@ from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.events import Composition, Substitute
 from vsensor_ros.engine.settings import Live
-from vsensor_ros.engine.stream import Stream, Wanted
+from vsensor_ros.engine.stream import Stream
 from vsensor_ros.engine.switch import Decision, Source
+from vsensor_ros.engine.wanted import Wanted
 from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
 

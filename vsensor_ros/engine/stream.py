@@ -9,11 +9,9 @@ it, and every other channel is what it last said. All times are in ns.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import math
 from types import MappingProxyType
-from typing import NamedTuple
 
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
@@ -27,29 +25,13 @@ from vsensor_ros.engine.events import (
 )
 from vsensor_ros.engine.sender import Sender, Senders
 from vsensor_ros.engine.settings import StreamPlan
+from vsensor_ros.engine.wanted import Recall, recalled, Wanted
+from vsensor_ros.engine.withheld import Withheld
 from vsensor_ros.reason import Reason
 
 UNREADABLE, NOT_NEWER, ONLY_NAN, NEVER_SEEN = map(Reason, (
     'unreadable', 'not newer', 'only NaN', 'never seen'))
-LATELY = 5_000_000_000  # ns for which it is said that something was withheld
-MOST = 1000  # of these that are counted
 ABSENT = 'not in the message'  # code of the reason why a message has no value of a channel
-
-
-class Wanted(NamedTuple):
-    """What is to go out for a failed channel."""
-
-    value: float | None  # NaN marks it as failed; None: nothing is to go out
-    fault_set: tuple[str, ...] | None = None  # of the virtual sensor that says so
-    deviation: float = math.inf  # standard deviation; inf when not known
-    interval: tuple[float, float] | None = None  # in which the truth lies
-    grade: str = ''
-    above: float | None = None  # see Channel.serve
-
-
-# what a virtual sensor said of a channel at an earlier time: value, deviation, interval
-Recall = Callable[[tuple[str, ...], str, int],
-                  'tuple[float, float, tuple[float, float] | None] | None']
 
 
 class Stream:
@@ -74,7 +56,7 @@ class Stream:
         self._latest: dict[str, float] = {}  # by channel: what it said
         self._heard: dict[str, int] = {}  # and when, by the engine's clock
         self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
-        self._withheld: dict[str, deque[int]] = {}  # by channel: when something did not go on
+        self._withheld = Withheld()
         self._max_age = {c.name: c.max_age for c in channels}
         self._longest = max(self._max_age.values())
         self._only = self.senders.sender(self.names) if len(self.names) == 1 else \
@@ -179,7 +161,7 @@ class Stream:
         """Note that channels do not go out, because they would not be newer than what did."""
         for name in names:
             self._count(name, NOT_NEWER)
-            self._withheld.setdefault(name, deque(maxlen=MOST)).append(self._clock.now)
+            self._withheld.note(name, self._clock.now)
 
     def _step_back(self, by: int) -> None:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
@@ -191,7 +173,7 @@ class Stream:
             sender.forget(self._clock.now)
         self._heard.clear()
         self._lacks.clear()
-        self._withheld.clear()
+        self._withheld = Withheld()
 
     # ------------------------------------------------------------------- what is known of them
 
@@ -239,17 +221,22 @@ class Stream:
 
     def why_odd(self, name: str) -> Reason | None:
         """Return what is to be said of a channel that is live: of late not all of it went on."""
-        times = self._withheld.get(name)
-        count = sum(self._clock.now - t <= LATELY for t in times) if times else 0
-        return Reason.of('withheld', count=count, seconds=LATELY * 1e-9,
-                         why=NOT_NEWER) if count else None
+        return self._withheld.why(name, NOT_NEWER, self._clock.now)
+
+    def composes(self, name: str) -> bool:
+        """Tell whether messages with a channel are composed, so that a live one does not go on."""
+        sender = self.senders.known(name)
+        return sender is not None and sender.composes
 
     def lag(self, name: str) -> int:
         """Return by how much older than the tick estimates of a channel are wanted."""
         sender = self.senders.known(name)
         if sender is None:
             return 0
-        return sender.lag if sender.composes else sender.lateness(self._period)
+        return sender.lag if sender.composes else self._lateness(sender)
+
+    def _lateness(self, sender: Sender) -> int:
+        return sender.lateness(self._period, 2 * self._longest)
 
     def driver_silence(self, name: str) -> Reason | None:
         """Return for how long a channel's driver has been silent, None when it is not."""
@@ -287,7 +274,7 @@ class Stream:
         """Let a sender begin or end to be one whose messages are composed."""
         failed = not self.failed.isdisjoint(sender.channels)
         if failed and not sender.composes:
-            sender.begin(self._period)
+            sender.begin(self._lateness(sender))
             if sender.offset:
                 self._say('error', Reason.of('clock of its own', topic=self.plan.source,
                                              seconds=sender.offset * 1e-9))
@@ -368,7 +355,7 @@ class Stream:
             if stamp > newest:
                 newest = stamp
                 made.append(self._composition(
-                    sender, token, stamp, stamp, tick, _recalled(wanted, stamp, recall),
+                    sender, token, stamp, stamp, tick, recalled(wanted, stamp, recall),
                     {name: value for name, value in zip(self.names, values)
                      if isinstance(value, float)}))
             else:
@@ -376,7 +363,7 @@ class Stream:
         stamp = tick - sender.lag
         if not made and stamp > newest and sender.has_stopped(self._clock.now):
             made.append(self._composition(sender, sender.template, stamp, stamp, tick,
-                                          _recalled(wanted, stamp, recall)))
+                                          recalled(wanted, stamp, recall)))
         return made
 
     def _composition(self, sender: Sender, template: Token | None, stamp: int, time: int,
@@ -407,18 +394,6 @@ class Stream:
         if math.isfinite(value) and channel.name not in self.passing:
             value = channel.serve(REAL, (), value, self._clock.lasting())
         return value
-
-
-def _recalled(wanted: Mapping[str, Wanted], time: int, recall: Recall) -> dict[str, Wanted]:
-    """Return what is to go out as it was at an earlier time; NaN where that is not known."""
-    found = {}
-    for name, now in wanted.items():
-        found[name] = now
-        if now.fault_set is not None:
-            then = recall(now.fault_set, name, time)
-            found[name] = Wanted(math.nan) if then is None else now._replace(
-                value=then[0], deviation=then[1], interval=then[2])
-    return found
 
 
 def is_absent(value: float | Reason) -> bool:
