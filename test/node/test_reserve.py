@@ -6,7 +6,7 @@ import sys
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from sensor_msgs.msg import Range
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 
 from vsensor_ros.node import status
 from vsensor_ros.node.reserve import Chance, chance, Origin, without_reserve
@@ -39,7 +39,7 @@ def test_whether_it_passes(reserve, expected):
     (None, 'start who does, or correct commands.u.topic'),
     (('/nav',), '/nav publishes on /u: check what, and commands.u.field')])
 def test_the_mend_names_the_topic_and_who_is_there(publishers, mend):
-    origins = {'u': Origin('/u', 'commands.u', publishers)}
+    origins = {'u': Origin('/u', 'std_msgs/msg/Float64', 'commands.u', publishers)}
     assert without_reserve('y1', NO_COMMAND, origins) == [
         'could not be replaced now (no command of u yet)', mend]
     assert without_reserve('y1', either(NO_COMMAND, NO_COMMAND), origins)[1:] == [mend]
@@ -50,7 +50,7 @@ def test_the_mend_names_the_topic_and_who_is_there(publishers, mend):
     ((), 'check who publishes on /y3_raw'),
     (('/driver',), 'check /driver, which publishes on /y3_raw')])
 def test_of_what_was_heard_before_the_parameters_are_right(publishers, mend):
-    origins = {'y3': Origin('/y3_raw', 'sensors.y3', publishers)}
+    origins = {'y3': Origin('/y3_raw', 'sensor_msgs/msg/Range', 'sensors.y3', publishers)}
     silent = Reason.of('input silent', name='y3', seconds=2.0)
     assert without_reserve('y1', silent, origins) == [
         'could not be replaced now (y3 silent for 2.0 s)', mend]
@@ -92,6 +92,21 @@ def drive(m):
             message.header.stamp = m.engineer.get_clock().now().to_msg()
             publisher.publish(message)
     m.engineer.create_timer(0.02, send)
+
+
+def test_what_was_meant_is_named(machine):
+    """Topics of the right type that somebody publishes on, and that are called much the same."""
+    m = machine(isolation__topic='/isolaton')
+    drive(m)
+    for kind, topic in ((Float64, '/U1'), (Float64, '/robot/u1'), (Range, '/u_1'),
+                        (String, '/isolation'), (DiagnosticArray, '/isolation2')):
+        m.engineer.create_publisher(kind, topic, 10)
+    m.engineer.create_subscription(Float64, '/u11', print, 10)
+    heard = m.listen(DiagnosticArray, '/replacer/status', KEPT)
+    assert m.spin_until(lambda: told(heard, 'replacer')[1].endswith(
+        'or correct isolation.topic (to /isolation?)'))
+    assert m.spin_until(lambda: told(heard, 'y1')[1].endswith(
+        'or correct commands.u1.topic (to /U1 or /robot/u1?)'))
 
 
 def test_nobody_isolates(machine, logged):
