@@ -158,9 +158,9 @@ class Reporter:
             sharing[channel.topic].add(channel.name)
         reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
             if state == 'active' else []
+        unknown = [f'{self._isolation.topic}: {self._tell(name)}' for name in strangers]
         loop = describe_loop(engine, state, self._lately.grown(LOOP, engine.left_out, now),
-                             [*self._about(None), *(
-                                 f'{self._isolation.topic}: {self._tell(name)}' for name in strangers)],
+                             [*self._about(None), *unknown],
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
         prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
