@@ -26,7 +26,7 @@ settings.register_profile('explore', **PATIENT)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
-ON_A_GRAPH = ('node', 'lab', 'test_monitor.py', 'test_benchmark.py')
+ON_A_GRAPH = ('node', 'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py')
 
 
 def pytest_collection_modifyitems(items):

@@ -12,7 +12,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+_YEAR = 3e7  # s
 Sentence = str | Callable[..., str]  # {fact} stands for a fact; or called with the facts
+
+EPOCH = 1e9  # s since 1970; a clock that shows less counts from something else
+
+
+def _another_clock(name: str, seconds: float, clock: float) -> str:
+    """Say how far [s] the stamps of an input are ahead of this node's clock, which shows that."""
+    off = f'{abs(seconds):.{1 if abs(seconds) < 60.0 else 0}f} s ' + (
+        'ahead of' if seconds > 0.0 else 'behind')
+    if abs(seconds) < 60.0:
+        return f'{name} speaks, but its stamps are {off} the clock of this node'
+    guess = ''
+    if clock + seconds < EPOCH < clock:
+        guess = ': time since boot, or of a simulation?'
+    elif clock < EPOCH < clock + seconds:
+        guess = ', which is simulated'
+    return f"{name} speaks, but its stamps are of another clock ({off} this node's{guess})"
+
 
 SENTENCES: dict[str, Sentence] = {
     # of readings and commands that are not used
@@ -21,6 +39,10 @@ SENTENCES: dict[str, Sentence] = {
     'isolated': 'isolated',
     'duplicate stamp': 'duplicate stamp',
     'stamp runs backwards': 'stamp runs backwards',
+    # of commands
+    'command not used': '{name}: {why}, so the last one is not used; mend who commands it',
+    'command of another clock': lambda name, seconds: f'{name}: its stamps are {_lead(seconds)} '
+    f'the clock of this node, so it counts from its arrival; mend the clock of who commands it',
     # of virtual sensors that have no estimate to serve with
     'not designed': 'no design for {channel} when {failed} failed',
     'refused': '{text}',
@@ -32,6 +54,10 @@ SENTENCES: dict[str, Sentence] = {
     'no reading yet': 'no reading of {name} yet',
     'no command yet': 'no command of {name} yet',
     'input silent': '{name} silent for {seconds:.1f} s',
+    'input of another clock': _another_clock,
+    'command ended': '{name} ended {seconds:.1f} s ago; commands.{name}.at_end says what counts '
+    'then',
+    'command unusable': 'nothing of {name} could be used for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
@@ -63,6 +89,7 @@ SENTENCES: dict[str, Sentence] = {
     'unreadable': 'bytes that are not a message of the type',
     'not in the message': '{field} is not in the message',
     'too short': 'the array is too short for {field}',
+    'disowned': '{field} is marked as not there ({mark})',
     'does not fit': '{value} does not fit into {field} ({type})',
     'only NaN': 'nothing but NaN arrives',
     'only NaN on': 'nothing but NaN arrives on {topic}',
@@ -71,8 +98,8 @@ SENTENCES: dict[str, Sentence] = {
     'stale messages': 'messages arrive on {topic}, but are {why}',
     'driver silent': 'its driver has been silent for {seconds:.1f} s',
     'not newer': 'not sent on: not newer than what went out',
-    'from the future': 'not sent on: stamp far ahead of the clock',
     'not chosen': 'from another publisher than the one chosen',
+    'withheld': '{count} of its messages in {seconds:g} s {why}',
     'never seen': 'no message of its driver was ever seen, so frame and names are not known',
     'not sent': 'not sent: {text}',
     'mistake': 'a mistake of this node ({error})',
@@ -92,6 +119,12 @@ SENTENCES: dict[str, Sentence] = {
     'clock of its own': 'the stamps on {topic} are {seconds:+.1f} s from the clock of this node; '
     'the estimates in their place follow them',
 }
+
+
+def _lead(seconds: float) -> str:
+    if seconds < -_YEAR:
+        return 'of another kind than'  # since boot, say
+    return f'{abs(seconds):.3g} s {"ahead of" if seconds > 0.0 else "behind"}'
 
 
 @dataclass(frozen=True)

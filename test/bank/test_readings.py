@@ -1,4 +1,4 @@
-"""Samples of one channel: order, value at any time, commands over a step."""
+"""Samples of one channel: order, and the value at any time."""
 
 from hypothesis import given, strategies as st
 import numpy as np
@@ -47,26 +47,6 @@ def test_forgetting_changes_no_later_value(stamps, before):
     less.forget(before)
     for time in range(before, 10**6 + 100, 99_991):
         assert less.interpolated(time, 10**5) == whole.interpolated(time, 10**5)
-        assert less.held(time) == whole.held(time)
-
-
-@given(TIMES, st.integers(0, 10**6 - 1), st.integers(1, 10**5))
-def test_a_command_over_a_step_keeps_mean_and_first_moment(stamps, start, length):
-    values = [float(np.cos(s)) for s in stamps]
-    samples, end = filled(stamps, values), start + length
-    first, last, mean = samples.over(start, end)
-    if samples.held(start) is None:
-        assert (first, last, mean) == (0.0, 0.0, 0.0)
-        return
-    edges = [start, *(s for s in stamps if start < s < end), end]
-    pieces = [(a, b, samples.held(a)) for a, b in zip(edges, edges[1:])]
-    area = sum((b - a) * v for a, b, v in pieces) / length
-    moment = sum(v * ((b - start) ** 2 - (a - start) ** 2) / 2 for a, b, v in pieces) / length**2
-    assert mean == pytest.approx(area, abs=1e-12)
-    assert (first + last) / 2 == pytest.approx(area, abs=1e-12)
-    assert first / 6 + last / 3 == pytest.approx(moment, abs=1e-12)
-    if len(pieces) == 1:
-        assert first == last == pieces[0][2]
 
 
 def test_keeps_a_bounded_number():

@@ -90,7 +90,7 @@ def servo_design(tmp_path_factory):
 def quick(tmp_path, servo_design):
     """Return arguments for the servo, with a shorter dwell."""
     content = yaml.safe_load((SERVO / 'replacer.yaml').read_text())
-    content['replacer']['ros__parameters'] |= {'recovery': {'dwell': 0.3},
+    content['/**']['ros__parameters'] |= {'recovery': {'dwell': 0.3},
                                                'design_file': str(servo_design)}
     (tmp_path / 'replacer.yaml').write_text(yaml.safe_dump(content))
     return ['--plant', str(SERVO / 'plant.yaml'), '--params-file', str(tmp_path / 'replacer.yaml'),
@@ -154,7 +154,7 @@ def test_what_cannot_be_done_is_said_in_one_line(quick, tmp_path, capsys):
 def rewrite(arguments, change):
     """Put the parameters of the replacer another way, in the order given."""
     path = Path(arguments[3])
-    path.write_text(yaml.safe_dump(change(yaml.safe_load(path.read_text())['replacer']),
+    path.write_text(yaml.safe_dump(change(yaml.safe_load(path.read_text())['/**']),
                                    sort_keys=False))
 
 

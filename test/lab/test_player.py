@@ -84,7 +84,7 @@ def test_channels_of_one_message_travel_together(node):
 
 def test_simulated_time_is_on_a_topic_at_any_speed(node, tmp_path, monkeypatch):
     path = tmp_path / 'replacer.yaml'
-    path.write_text('/**: {ros__parameters: {use_sim_time: true}}\n'
+    path.write_text('replacer: {ros__parameters: {use_sim_time: true}}\n'
                     + (CONFIG / 'tclab' / 'replacer.yaml').read_text())
     (tmp_path / 'table.csv').write_text('time,T1\n0.0,20.0\n0.1,21.0\n')
     clock = listen(node, Clock, '/clock')
@@ -164,15 +164,17 @@ def test_delays_are_told(node, monkeypatch):
 def test_whatever_way_a_parameter_file_names_the_node(tmp_path, name):
     shipped = CONFIG / 'servo' / 'replacer.yaml'
     root = yaml.safe_load(shipped.read_text())
-    parameters = root['replacer']['ros__parameters']
+    parameters = root['/**']['ros__parameters']
     for group in ('sensors', 'commands'):  # as ros2 param dump does not write it, but ROS reads it
         for channel, entry in parameters.pop(group).items():
             parameters.update({f'{group}.{channel}.{key}': x for key, x in entry.items()})
     path = tmp_path / 'replacer.yaml'
-    path.write_text(yaml.safe_dump({name: root if name == 'robot' else root['replacer']}))
+    below = {'replacer': root['/**']} if name == 'robot' else root['/**']
+    path.write_text(yaml.safe_dump({name: below}))
     ports, expected = read_wiring(path).ports, read_wiring(shipped).ports
+    inside = '' if name == '/**' else '/robot'
     assert {n: (p.source, p.output, p.field.path) for n, p in ports.items()} == {
-        n: (p.source, p.output, p.field.path) for n, p in expected.items()}
+        n: (inside + p.source, inside + p.output, p.field.path) for n, p in expected.items()}
     path.write_text('{other: {ros__parameters: {}}}')
     with pytest.raises(BadInput, match='give replacer: ros__parameters'):
         read_wiring(path)

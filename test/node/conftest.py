@@ -123,7 +123,7 @@ def joint_parameters(parameters):
 class Rig:
     """A replacer under a clock that the test steps, its drivers and one listener a topic."""
 
-    def __init__(self, parameters, sim_time=True, active=True):
+    def __init__(self, parameters, sim_time=True, active=True, clock=True):
         self.context = Context()
         self.context.init()
         values = {'use_sim_time': sim_time, **parameters}
@@ -140,6 +140,7 @@ class Rig:
         self.restart(node)
         if sim_time:
             self.clock = self.publisher(Clock, '/clock', 2)  # rclpy hears it, too
+        if sim_time and clock:
             self.clock.publish(Clock(clock=stamp_of(START)))
             assert self.spin_until(lambda: self.replacer.engine.now == START)
         if active:
@@ -274,7 +275,7 @@ class Rig:
 
     @staticmethod
     def reading(value, frame='tank'):
-        message = Range(range=float(value), min_range=0.1, max_range=9.0, variance=0.5)
+        message = Range(range=float(value), min_range=-1e6, max_range=1e6, variance=0.5)
         message.header.frame_id = frame
         return message
 

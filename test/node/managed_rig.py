@@ -23,9 +23,9 @@ KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Machine:
     """The node, its drivers, and one who listens and calls services."""
 
-    def __init__(self, parameters):
+    def __init__(self, parameters, ros_args=()):
         self.context = Context()
-        self.context.init()
+        self.context.init(args=['--ros-args', *ros_args])
         self.node = ManagedNode(
             self.context, [Parameter(name, value=value) for name, value in parameters.items()])
         self.engineer = Node('engineer', context=self.context)
@@ -118,11 +118,11 @@ def machines(parameters):
     started = []
     discovery, start.DISCOVERY = start.DISCOVERY, 0.0  # what isolation said is waited for, still
 
-    def start_one(**more):
+    def start_one(ros_args=(), **more):
         # a busy machine makes no driver silent, and no jump of the clock
         started.append(Machine({**parameters, 'isolation.type': 'std_msgs/msg/String',
                                 'max_age': 60.0, 'max_jump': 60.0,
-                                **{key.replace('__', '.'): more[key] for key in more}}))
+                                **{key.replace('__', '.'): more[key] for key in more}}, ros_args))
         return started[-1]
     yield start_one
     for machine in started:

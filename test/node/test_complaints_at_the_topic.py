@@ -7,7 +7,6 @@ import time
 import numpy as np
 from sensor_msgs.msg import Range
 
-from vsensor_ros.engine.stream import FROM_THE_FUTURE, NOT_NEWER
 from vsensor_ros.node.accessor import put_stamp
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.known import GENERAL
@@ -63,12 +62,10 @@ def test_bad_stamps_are_counted_by_reason_and_fail_nobody(rig, parameters):
         r.send(r.now - 3 * SECOND, topic='/y1_raw')
     told = r.told()
     assert told['y1'].counts == {
-        'duplicate stamp': 2, 'stamp runs backwards': 62, 'stamp ahead of the clock': 1,
-        str(NOT_NEWER): 4 + 49, str(FROM_THE_FUTURE): 1}
+        'duplicate stamp': 2, 'stamp runs backwards': 62, 'stamp ahead of the clock': 1}
     assert not told['y2'].counts and not told['y3'].counts
     assert told['y1'].source == 'real' and told['y1'].switches == 0
-    # a clock set back, so it seems: after max_age all goes on as it came
-    assert len(heard) == 5 + 11 and np.all(np.diff(r.stamps(heard)[5:]) > 0)
+    assert r.spin_until(lambda: len(heard) == 5 + 5 + 60)  # all went on as it came
     # not evaluated is not failed; but nothing is estimated from what cannot be placed in time
     count = len(estimates)
     r.isolate('y2')

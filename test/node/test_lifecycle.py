@@ -1,8 +1,12 @@
 from pathlib import Path
 import sys
+from threading import current_thread, Event
+import time
 
+from lifecycle_msgs.srv import GetState
 import pytest
 from rcl_interfaces.srv import SetParameters
+from rclpy import executors
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Range
 from std_srvs.srv import Trigger
@@ -120,6 +124,23 @@ def test_it_ends_in_order_from_every_state(machine):
     m = machine()
     assert m.spin_until(m.node.active.is_set)
     assert m.end() == 0 and m.node.ended
-    assert m.engineer.get_node_names() == ['engineer']  # nothing keeps it alive
+    # nothing keeps it alive; what other tests have killed is forgotten a little later
+    assert m.spin_until(lambda: m.engineer.get_node_names() == ['engineer'])
     m = machine(autostart=False)
     assert m.end() == 0 and m.node.ended
+
+
+def test_it_ends_when_the_executor_is_just_about_to_wait(machine, monkeypatch):
+    m = machine(autostart=False)  # no timer wakes it
+    about, gather = Event(), executors.NumberOfEntities
+
+    def gather_slowly(*numbers):
+        """Take so long between the last look whether to go on and the wait that it is told to."""
+        if current_thread().name == 'executor':
+            about.set()
+            time.sleep(0.5)
+        return gather(*numbers)
+    monkeypatch.setattr(executors, 'NumberOfEntities', gather_slowly)
+    m.call(GetState, 'get_state')
+    assert about.wait(60.0)
+    assert m.end() == 0

@@ -4,10 +4,12 @@ import time
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import Range
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
 SECOND = 10**9
+START = 1_000_000_000_000  # ns
 
 
 def test_a_clock_that_goes_back_starts_anew(rig, parameters, capfd):
@@ -112,3 +114,44 @@ def test_a_clock_that_stands_still_is_said(rig, parameters):
         if r.replacer.snapshot().still < before + 0.3 and r.told()['y2'].source == 'virtual':
             return
     pytest.fail('the clock moves, and nobody says so')
+
+
+@pytest.mark.parametrize('began', [False, True])
+def test_a_clock_that_does_not_move_withholds_nothing(rig, parameters, began):
+    """With use_sim_time, drivers by the wall clock, and nobody who moves /clock."""
+    r = rig(parameters, clock=began)
+    heard = r.listen(RANGE, '/y2')
+    start = r.now if began else time.time_ns() // PERIOD * PERIOD
+    for i in range(300):
+        r.send(start + i * PERIOD, i)
+    assert r.spin_until(lambda: len(heard) == 300)
+    assert r.values(heard) == list(range(300))
+    told = r.told()['y2']
+    assert told.source == 'real' and 'not sent on' not in str(told.counts)
+    assert bool(told.counts) == began  # what lies ahead of a clock that stands still is not learnt
+    r.now = START if not began else r.now + 300 * PERIOD
+    r.step()
+    r.step(*r.healthy(y1=0.75), periods=20)
+    r.isolate('y2')
+    before = len(heard)
+    r.step(*r.healthy(y1=0.75), periods=5)
+    assert r.spin_until(lambda: len(heard) >= before + 5) and r.values(heard)[-1] == 1.5
+    assert r.stamps(heard)[-1] == r.now
+
+
+def test_a_busy_computer_withholds_and_refuses_nothing(rig, parameters):
+    """Half a second of messages is taken in one round, whose clock was looked at before."""
+    r = rig(parameters, sim_time=False)
+    heard = r.listen(RANGE, '/y2')
+    publisher = r.publisher(Range, '/y2_raw')
+    r.spin()
+    look, r.replacer.engine.look = r.replacer.engine.look, lambda now, steady: None
+    for i in range(100):
+        message = r.reading(float(i))
+        message.header.stamp = r.node.get_clock().now().to_msg()
+        publisher.publish(message)
+        time.sleep(0.005)
+    assert r.spin_until(lambda: len(heard) == 100)
+    r.replacer.engine.look = look
+    r.spin()
+    assert r.values(heard) == list(range(100)) and not r.told()['y2'].counts

@@ -5,9 +5,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from vsensor_ros.bank import End
 from vsensor_ros.engine import Policy
 from vsensor_ros.node.known import Refused
-from vsensor_ros.node.parameter_file import check_addressed
+from vsensor_ros.node.parameter_file import Block, check_addressed
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.observers import Design
@@ -154,7 +155,7 @@ def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
     ({'sensors.y1.dwell': True}, 'sensors.y1.dwell: True is not a number; give'),
     ({'sensors.y1.silent': 'ignore'}, 'choose from wait, replace'),
     ({'sensors.y1.max_age': 0}, 'sensors.y1.max_age: 0 is out of range'),
-    ({'commands.u1.max_age': 1.0}, 'commands.u1.max_age: there is no such parameter'),
+    ({'commands.u1.dwell': 1.0}, 'commands.u1.dwell: there is no such parameter'),
     ({'isolation.topic': '~/status'}, '/replacer/status is what this node says'),
     ({'sensors.y1.topic': '/replacer/estimates'}, 'but /replacer/estimates carries'),
     ({'sensors.y1.input': '/' + 'y' * 247}, 'like /tank/level2, with at most 247 characters'),
@@ -221,11 +222,12 @@ def test_a_rate_that_does_not_suit_a_discrete_design(start, parameters, plan, tm
 
 def test_a_parameter_file_for_another_node(start, parameters):
     with pytest.raises(Refused) as raised:
-        check_addressed(start({}), ['replacr', '/robot/replacer'])
+        check_addressed(start({}), [Block('a.yaml', name, frozenset(['rate']))
+                                    for name in ('/replacr', '/robot/replacer')])
     assert str(raised.value) == (
-        '/replacer: parameter file: is for replacr, /robot/replacer; it has nothing for '
-        '/replacer; begin it with replacer:')
-    check_addressed(start(parameters), ['replacer'])
+        'a.yaml: is for /replacr, /robot/replacer, but this node is /replacer; write /**: or '
+        '/replacer: above it')
+    check_addressed(start(parameters), [Block('a.yaml', '/driver', frozenset(['rate']))])
     check_addressed(start({}), [])
 
 
@@ -238,3 +240,27 @@ def test_what_the_graph_refuses_is_one_line(start, parameters, monkeypatch):
         Replacer(node, read(node))
     assert str(raised.value) == '/replacer: topics: no room for a topic; give the topics other ' \
         'names'
+
+
+@pytest.mark.parametrize(('given', 'end'), [
+    ({}, End(0.5, only_periodic=True)), ({'max_age': 2}, End(2.0, only_periodic=True)),
+    ({'commands.u1.max_age': '', 'commands.u1.at_end': ''}, End(0.5, only_periodic=True)),
+    ({'commands.u1.max_age': 0.2}, End(0.2)), ({'commands.u1.at_end': 'invalid'}, End(0.5)),
+    ({'commands.u1.at_end': 0}, End(0.5, 0.0)), ({'commands.u1.at_end': -1.5}, End(0.5, -1.5)),
+    ({'commands.u1.at_end': '0.25', 'commands.u1.max_age': 1}, End(1.0, 0.25)),
+    ({'commands.u1.at_end': 'hold'}, None)])
+def test_what_becomes_of_a_command_at_its_end(start, parameters, given, end):
+    ends = read(start({**parameters, **given})).command_ends
+    assert ends == ({} if end is None else {'u1': end})
+
+
+@pytest.mark.parametrize(('key', 'value', 'problem'), [
+    ('at_end', 'zero', "commands.u1.at_end: 'zero' is not a number; give the value that counts"),
+    ('at_end', True, 'commands.u1.at_end: True is not a number'),
+    ('at_end', 'nan', 'commands.u1.at_end: nan is out of range'),
+    ('at_end', 1e13, 'commands.u1.at_end: 1e+13 is out of range'),
+    ('max_age', 0.0, 'commands.u1.max_age: 0 is out of range'),
+    ('max_age', 'long', "or '' for that of all commands")])
+def test_an_end_that_is_none_is_refused_in_a_line(start, parameters, key, value, problem):
+    line, = problems(start({**parameters, f'commands.u1.{key}': value}))
+    assert problem in line

@@ -37,9 +37,10 @@ def row(name, entry):
     if entry.choices:
         values = ', '.join(f'`{choice}`' for choice in entry.choices)
     elif math.isfinite(entry.low):
-        values = f'{entry.low:g} to {entry.high:g}'
+        values = entry.limits()
     else:
         values = ''
+    values = ', '.join([*(f'`{word}`' for word in entry.words), values])
     default = 'must be given' if entry.default is None else f'`{entry.default!r}`'
     if name.startswith('qos_overrides.'):
         default = 'as opened'
@@ -97,7 +98,8 @@ def context():
 
 
 def test_the_complete_file_loads(context, design_path):
-    assert check_files(['--params-file', str(COMPLETE)]) == ['replacer']
+    block, = check_files(['--params-file', str(COMPLETE)])
+    assert block.nodes == '/**'
     context.init(args=['--ros-args', '--params-file', str(COMPLETE)])
     node = Node('replacer', context=context, automatically_declare_parameters_from_overrides=True,
                 parameter_overrides=[Parameter('design_file', value=str(design_path))])
@@ -108,7 +110,7 @@ def test_the_complete_file_loads(context, design_path):
 
 
 def given():
-    tree = yaml.safe_load(COMPLETE.read_text(encoding='utf-8'))['replacer']['ros__parameters']
+    tree = yaml.safe_load(COMPLETE.read_text(encoding='utf-8'))['/**']['ros__parameters']
     return dict(leaves(tree))
 
 

@@ -13,9 +13,9 @@ from sensor_msgs.msg import Range
 
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameters import read, watch
+from vsensor_ros.node.polling import LISTEN
 from vsensor_ros.node.qos import qos_options
 
-LISTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 Y1 = 'qos_overrides./y1_raw.subscription'
 
 
@@ -76,7 +76,7 @@ def test_a_late_listener_hears_what_a_transient_local_driver_said(context, start
     assert seen['/y1_raw'].reliability == ReliabilityPolicy.RELIABLE
     assert seen['/y2_raw'].reliability == ReliabilityPolicy.BEST_EFFORT
     assert seen['/y2_raw'].durability == DurabilityPolicy.VOLATILE
-    assert node.get_parameter('qos_overrides./y2_raw.subscription.depth').value == 200
+    assert node.get_parameter('qos_overrides./y2_raw.subscription.depth').value == LISTEN.depth
     for topic in ('/y1_raw', '/y2_raw'):
         assert node.describe_parameter(f'qos_overrides.{topic}.subscription.depth').read_only
     # closed and opened again, as after a cleanup
@@ -108,7 +108,10 @@ def test_every_topic_of_the_node_has_them(start):
              for topic in ('/diagnostics', '/replacer/status', '/replacer/estimates')]
     read(start({f'qos_overrides.{topic}.{end}.{policy}': value for topic, end in ends
                 for policy, value in (('history', 'keep_last'), ('depth', 1000),
-                                      ('reliability', 'reliable'), ('durability', 'volatile'))}))
+                                      ('reliability', 'reliable'), ('durability', 'volatile'),
+                                      ('deadline', 0), ('liveliness', 'automatic'),
+                                      ('liveliness_lease_duration', 10**9), ('lifespan', 10**9))
+                if (end, policy) != ('subscription', 'lifespan')}))
 
 
 @pytest.mark.parametrize('name, value, told', [
@@ -124,7 +127,15 @@ def test_every_topic_of_the_node_has_them(start):
     (f'{Y1}.reliability', '', "'' is not a choice"),
     (f'{Y1}.durability', 'unknown', 'choose from volatile, transient_local'),
     (f'{Y1}.reliabilty', 'reliable', f'no such parameter; did you mean {Y1}.reliability?'),
-    (f'{Y1}.deadline', 1, 'no such parameter; did you mean'),
+    (f'{Y1}.deadline', 999_999, 'deadline: 999999 is out of range; choose from 1000000 to '
+     '86400000000000; 0 for none'),
+    (f'{Y1}.deadline', -1, 'deadline: -1 is out of range'),
+    (f'{Y1}.deadline', 86_400_000_000_001, 'deadline: 86400000000001 is out of range'),
+    (f'{Y1}.deadline', 0.1, 'deadline: 0.1 is not a whole number'),
+    (f'{Y1}.liveliness', 'manual', 'choose from system_default, automatic, manual_by_topic'),
+    (f'{Y1}.liveliness_lease_duration', 1, 'liveliness_lease_duration: 1 is out of range'),
+    (f'{Y1}.lifespan', 10**9, 'no such parameter; did you mean'),  # rclpy: of publishers only
+    ('qos_overrides./y1.publisher.lifespan', 5, 'lifespan: 5 is out of range'),
     ('qos_overrides./y1_raw.publisher.depth', 5, 'no such parameter; did you mean'),
     ('qos_overrides.y1_raw.subscription.depth', 5, f'no such parameter; did you mean {Y1}.depth?'),
     ('qos_override./y1_raw.subscription.depth', 5, f'no such parameter; did you mean {Y1}.depth?'),

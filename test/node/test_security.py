@@ -51,7 +51,7 @@ def test_it_is_a_policy_of_sros2_for_this_node(policy):
 
 def test_it_allows_what_the_node_does_and_nothing_more(policy, tmp_path):
     given = yaml.safe_load((CONFIG / 'servo' / 'replacer.yaml').read_text())
-    parameters = dict(flatten(given['replacer']['ros__parameters']))
+    parameters = dict(flatten(given['/**']['ros__parameters']))
     # what the virtual sensors are does not matter to names
     names = ('y1', 'y2', 'y3')
     Design('servo', '0' * 64, ('angle',), ('voltage',), names, {}, None,

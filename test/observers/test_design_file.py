@@ -401,7 +401,7 @@ def test_duplicate_key_binary_deep_and_missing(written, tmp_path):
     written.write_text(text.replace(version, f'{version}, {version}'))
     assert 'version: stands there twice' in refusal_line(written)
     written.write_bytes(b'\xff\xfe\x00')
-    assert 'not a text file' in refusal_line(written)
+    assert 'is not UTF-8: line 1, byte 0xff' in refusal_line(written)
     written.write_text('[' * 200_000)
     refusal_line(written)
     written.write_text('{"format": "vsensor_ros design", "version": ' + '9' * 5000 + '}')

@@ -1,5 +1,6 @@
 """The run: every virtual sensor in step on one grid of times."""
 
 from vsensor_ros.bank.bank import Bank
+from vsensor_ros.bank.commands import End
 
-__all__ = ['Bank']
+__all__ = ['Bank', 'End']

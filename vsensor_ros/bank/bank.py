@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 import math
+from types import MappingProxyType
 
 import numpy as np
 
+from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.steps import State, Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
@@ -24,9 +26,10 @@ class Bank(Steps):
     """
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
-                 jump_ahead: float | None = None) -> None:
+                 jump_ahead: float | None = None,
+                 command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
         """Prepare, see `Steps`; raises BadInput."""
-        super().__init__(design, rate, max_age, jump_ahead)
+        super().__init__(design, rate, max_age, jump_ahead, command_ends)
         self._entries = {(frozenset(fault_set), channel): entry
                          for (fault_set, channel), entry in design.entries.items()}
         self._output = {(frozenset(fault_set), channel): i
@@ -46,6 +49,32 @@ class Bank(Steps):
             self._estimates = self._estimates_at(self._past[-1])
         value = float(self._estimates[output])
         return value if math.isfinite(value) else None
+
+    def recall(self, fault_set: Iterable[str], channel: str, time: int,
+               ) -> tuple[float, float, tuple[float, float] | None] | None:
+        """
+        Return what is known by now of an earlier time [ns]: estimate, deviation, interval.
+
+        Between grid times it is interpolated; after the last it is the last. None when the
+        virtual sensor did not run then, or nothing is known of that time any more.
+        """
+        output = self._output.get((frozenset(fault_set), channel))
+        if output is None or not self._past or time < self._at(self._past[0].tick):
+            return None
+        steps, rest = divmod(time - self._at(self._past[0].tick), self.period)
+        last = len(self._past) - 1
+        before, after = self._past[min(steps, last)], self._past[min(steps + 1, last)]
+        if not (before.running[self._of[output]] and after.running[self._of[output]]):
+            return None
+        there = float(self._estimates_at(before)[output])
+        value = there
+        if rest and after is not before:
+            value += rest / self.period * (float(self._estimates_at(after)[output]) - there)
+        if not math.isfinite(value):
+            return None
+        deviation = self._deviation(output, before, self._unseen_at(before))
+        return value, deviation, self._batch.interval(
+            output, before.z, before.told, self._age(output, before))
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
@@ -94,12 +123,8 @@ class Bank(Steps):
             return math.inf
         state = self._past[-1]
         if self._unseen is None:
-            self._unseen = self._measured.unseen(
-                state.tick, self._told.ages_at(self._at(state.tick)))
-        found = math.hypot(self._measured.base[output], self._unseen[output],
-                           self._batch.deviation(output, state.z, state.told,
-                                                 self._age(output)))
-        return math.inf if math.isnan(found) else found
+            self._unseen = self._unseen_at(state)
+        return self._deviation(output, state, self._unseen)
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """
@@ -191,15 +216,24 @@ class Bank(Steps):
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
+    def _unseen_at(self, state: State) -> np.ndarray:
+        return self._measured.unseen(state.tick, self._told.ages_at(self._at(state.tick)))
+
+    def _deviation(self, output: int, state: State, unseen: np.ndarray) -> float:
+        found = math.hypot(self._measured.base[output], unseen[output],
+                           self._batch.deviation(output, state.z, state.told,
+                                                 self._age(output, state)))
+        return math.inf if math.isnan(found) else found
+
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
         return output if output is not None and self._past \
             and self._past[-1].running[self._of[output]] else None
 
-    def _age(self, output: int) -> float:
-        """Return for how long [s] the virtual sensor of an output has been running."""
-        state = self._past[-1]
+    def _age(self, output: int, state: State | None = None) -> float:
+        """Return for how long [s] the virtual sensor of an output has been running; by now."""
+        state = state or self._past[-1]
         return float(state.tick - state.since[self._of[output]]) * self.period * 1e-9
 
     def _waiting(self, output: int) -> float:
@@ -215,7 +249,8 @@ class Bank(Steps):
 
     def _residual(self, output: int, reading: tuple[int, float] | None) -> float | None:
         """Return reading (tick, value) - estimate then; None when that is not known any more."""
-        if reading is None or not self._past or reading[0] < self._past[0].tick:
+        if reading is None or not self._past or not \
+                self._past[0].tick <= reading[0] <= self._past[-1].tick:
             return None
         state = self._past[reading[0] - self._past[0].tick]
         if not state.running[self._of[output]]:

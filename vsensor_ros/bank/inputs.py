@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.bank.readings import Samples, Seen
+from vsensor_ros.bank.commands import Command, End
+from vsensor_ros.bank.readings import BACKWARDS, Samples, Seen
 from vsensor_ros.observers import Told
 from vsensor_ros.reason import Reason
 
@@ -27,12 +28,14 @@ class Inputs:
     Samples of L sensors and m commands, all times in ns.
 
     `ages`: the max_age of each sensor. `Cu` (L, m): what is taken out of a reading, None: nothing.
-    `held`: whether somebody asks for the commands that hold at a time.
+    `held`: whether somebody asks for the commands that hold at a time. `ends`: of commands that do
+    not hold for ever, with a max_age of at least `least`.
     """
 
     def __init__(self, ages: Mapping[str, int], commands: Sequence[str], Cu: np.ndarray | None,
-                 held: bool) -> None:
+                 held: bool, ends: Mapping[str, End], least: int) -> None:
         self.ages, self.commands, self._wants_held = ages, commands, held
+        self._ends, self._least = ends, least
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
@@ -42,13 +45,16 @@ class Inputs:
 
     def reset(self) -> None:
         """Forget everything but who is distrusted, and up to which stamp."""
-        self.samples = samples = {name: Samples() for name in (*self.ages, *self.commands)}
-        seen: list[Seen] = [[(float(gain), samples[name])
+        held = {name: Command(self._ends.get(name), self._least) for name in self.commands}
+        samples: dict[str, Samples] = {**{name: Samples() for name in self.ages}, **held}
+        self.samples, self._held = samples, held
+        seen: list[Seen] = [[(float(gain), held[name])
                              for gain, name in zip(row, self.commands) if gain]
                             for row in self._Cu]
         self._readings = [(samples[name], age, gains)
                           for (name, age), gains in zip(self.ages.items(), seen)]
-        self._held = [samples[name] for name in self.commands]
+        self._stoppable = [(i, command) for i, command in enumerate(held.values(), len(self.ages))
+                           if command.may_stop]
         # by command: the readings that see it directly
         self._seers = {name: [r[0] for r, gain in zip(self._readings, column) if gain]
                        for name, column in zip(self.commands, self._Cu.T)}
@@ -62,25 +68,48 @@ class Inputs:
 
         Return the first time at which something has a new value, or why it was not accepted.
         """
-        samples = self.samples[name]
         age = self.ages.get(name)
+        if age is None:
+            return self._take_command(name, stamp, value, latest)
+        samples = self.samples[name]
         if not -LARGEST < value < LARGEST:
             return NOT_FINITE
-        if stamp > latest + min(age or self.oldest, _MOST_AHEAD):
+        if stamp > latest + min(age, _MOST_AHEAD):
             return AHEAD
         if self._floors and stamp <= self._floors.get(name, -math.inf):
             self._heard[name] = max(stamp, self._heard.get(name, stamp))
             self._apart.setdefault(name, Samples()).add(stamp, value)
             return ISOLATED
         last = samples.stamps[-1] if samples.stamps else None
-        reason = samples.add(stamp, value, age is None)
+        reason = samples.add(stamp, value)
         if reason is not None:
             return reason
-        if age is None:  # a command; later readings that see it are cleaned anew
-            return min([stamp, *(reading.before(stamp) + 1 for reading in self._seers[name]
-                                 if reading.stamps and reading.stamps[-1] >= stamp)])
         self._heard[name] = stamp
         return stamp if last is None or stamp - last > age else last + 1
+
+    def _take_command(self, name: str, stamp: int, value: float, latest: float) -> int | Reason:
+        command, reason = self._held[name], None
+        if not -LARGEST < value < LARGEST:
+            reason = NOT_FINITE
+        elif stamp > latest + self._ahead(name):
+            reason = AHEAD
+        elif not command.take(stamp, value):
+            reason = BACKWARDS
+        if reason is not None:
+            command.spoil(int(min(stamp, latest)))
+            return reason
+        # later readings that see it are cleaned anew
+        return min([stamp, *(reading.before(stamp) + 1 for reading in self._seers[name]
+                             if reading.stamps and reading.stamps[-1] >= stamp)])
+
+    def spoil(self, name: str, time: int) -> None:
+        """Note that what came of a command could not be used; see `Command`."""
+        self._held[name].spoil(time)
+
+    def begin(self, now: int) -> None:
+        """Note when time began."""
+        for command in self._held.values():
+            command.begin(now)
 
     def drop_ahead(self, now: int) -> Iterator[tuple[str, Reason]]:
         """Forget what lies ahead of the clock after all; tell of which channel, and why."""
@@ -119,18 +148,35 @@ class Inputs:
 
     def missing(self, needs: np.ndarray, now: int | None) -> Reason | None:
         """Return which of these (L + m,) bool is not there; None when all are."""
-        for (name, samples), needed in zip(self.samples.items(), needs):
-            if not needed:
-                continue
-            if name in self.distrusted:
-                return Reason.of('input isolated', name=name)
-            if not samples.stamps:
-                return Reason.of('no reading yet' if name in self.ages else 'no command yet',
-                                 name=name)
-            age = 0 if now is None else now - samples.stamps[-1]
-            if age > self.ages.get(name, math.inf):
-                return Reason.of('input silent', name=name, seconds=age * 1e-9)
+        for name, needed in zip(self.samples, needs):
+            if needed and (lack := self.lack(name, now)) is not None:
+                return lack
         return None
+
+    def lack(self, name: str, now: int | None) -> Reason | None:
+        """Return why a sensor or a command is not there; None when it is."""
+        if name in self.distrusted:
+            return Reason.of('input isolated', name=name)
+        stamps = self.samples[name].stamps
+        if name in self._held:
+            return self._lack_of(name, now)
+        if not stamps:
+            return Reason.of('no reading yet', name=name)
+        age = 0 if now is None else now - stamps[-1]
+        if age > self.ages[name]:
+            return Reason.of('input silent', name=name, seconds=age * 1e-9)
+        return None
+
+    def _lack_of(self, name: str, now: int | None) -> Reason | None:
+        command = self._held[name]
+        if now is None or not command.stamps:
+            there = command.stamps or (now is not None and command.held(now) is not None)
+            return None if there else Reason.of('no command yet', name=name)
+        if not command.stopped(max(now, command.stamps[-1])):
+            return None
+        age = (now - command.stamps[-1]) * 1e-9
+        return Reason.of('command ended' if command.spoilt is None else 'command unusable',
+                         name=name, seconds=age)
 
     def oldest_stamp(self, default: int) -> int:
         """Return the stamp of the oldest sample that is kept."""
@@ -148,17 +194,19 @@ class Inputs:
     def at(self, time: int) -> Told:
         """Return what was told of a time."""
         y = [samples.interpolated(time, age, seen) for samples, age, seen in self._readings]
-        held = [samples.held(time) for samples in self._held]
+        held = [command.held(time) for command in self._held.values()]
+        stopped = [i for i, command in self._stoppable if command.stopped(time)]
         there: np.ndarray = self.everything
-        if None in y or None in held:
+        if None in y or None in held or stopped:
             there = np.array([v is not None for v in (*y, *held)], dtype=bool)
+            there[stopped] = False
             y, held = [v or 0.0 for v in y], [v or 0.0 for v in held]
         return Told(np.array(y, dtype=float), there,
                     np.array(held, dtype=float) if self._wants_held else _NOTHING)
 
     def over(self, start: int, end: int) -> np.ndarray:
         """Return the commands at the start and at the end of a step, and their means (3, m)."""
-        commands = [samples.over(start, end) for samples in self._held]
+        commands = [command.over(start, end) for command in self._held.values()]
         return np.array(commands, dtype=float).reshape(-1, 3).T
 
     def ages_at(self, time: int) -> np.ndarray:
@@ -170,7 +218,7 @@ class Inputs:
         """Drop what nothing at or after this time depends on."""
         for samples, _, _ in self._readings:
             samples.forget(before)
-        for samples in self._held:  # the readings from before have seen them
+        for samples in self._held.values():  # the readings from before have seen them
             samples.forget(before - self.oldest)
         for samples in self._apart.values():
             samples.forget(before)

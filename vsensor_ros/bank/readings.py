@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from typing import Protocol
 
 from vsensor_ros.reason import Reason
 
@@ -82,35 +83,16 @@ class Samples:
         i = bisect_left(self.stamps, time)
         return self.stamps[i - 1] if i else time
 
+
+class Held(Protocol):
+    """A command, which holds a value at each time."""
+
     def held(self, time: int) -> float | None:
-        """Return a command's value at a time [ns]: the last one given, however old."""
-        i = bisect_right(self.stamps, time) - 1
-        return None if i < 0 else self.values[i]
-
-    def over(self, start: int, end: int) -> tuple[float, float, float]:
-        """
-        Return (at the start, at the end, mean) of a command over a step [ns].
-
-        A command jumps at its stamps. Start and end are those of the straight line with the same
-        mean and the same first moment, which does to an observer what the jumps do, to third
-        order in the step.
-        """
-        first = bisect_right(self.stamps, start)
-        if first == 0:
-            return 0.0, 0.0, 0.0  # nobody who reads it is running yet
-        mean, slope = self.values[first - 1], 0.0
-        if first == len(self.stamps):
-            return mean, mean, mean
-        for i in range(first, bisect_left(self.stamps, end)):
-            part = (self.stamps[i] - start) / (end - start)
-            jump = self.values[i] - self.values[i - 1]
-            mean += jump * (1.0 - part)
-            slope += 6.0 * jump * part * (1.0 - part)
-        return mean - slope / 2, mean + slope / 2, mean
+        """Return what counts at a time [ns]; None when nothing ever has."""
 
 
 # gains of commands in a reading, and these commands
-Seen = Sequence[tuple[float, Samples]]
+Seen = Sequence[tuple[float, Held]]
 
 
 def _of_commands(seen: Seen, time: int) -> float:

@@ -12,11 +12,13 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.measured import Measured
@@ -46,17 +48,20 @@ class Steps:
 
     t_0 is the stamp of the first thing taken. A virtual sensor starts, from its initial state,
     at the first grid time at which all that it needs is there, and stops when a reading that it
-    needs is older than its max_age; it starts anew when that reading is back.
+    needs is older than its max_age, or a command that it needs has ended; it starts anew when
+    that is back.
     """
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
-                 jump_ahead: float | None = None) -> None:
+                 jump_ahead: float | None = None,
+                 command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
         """
         Prepare for a rate [Hz] and readings of at most max_age [s], at least three periods.
 
         max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
-        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. Raises
-        BadInput when a number does not suit the design.
+        than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. command_ends:
+        what becomes of commands that come no more; those not named hold for ever. Raises BadInput
+        when a number does not suit the design.
         """
         if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
             raise BadInput('', 'rate', f'{rate} is not a rate in Hz', 'give a number above 0')
@@ -81,7 +86,9 @@ class Steps:
         self._batch = batch_of(design, self.period * 1e-9, Cu)
         self._step = self._batch.step if len(self._batch.runs_on) else None
         self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
-        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None)
+        check_ends(command_ends, design.inputs)
+        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
+                            command_ends, 3 * self.period)
         self._measured = Measured(self._batch, ages, self.period, Cu)
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
@@ -144,9 +151,15 @@ class Steps:
             self._redo = before
         return None
 
-    def distrust(self, names: Iterable[str]) -> None:
+    def spoil(self, name: str, time: int) -> None:
+        """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
+        self._told.spoil(name, time)
+
+    def distrust(self, names: Iterable[str], now: int | None = None) -> None:
         """
         Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
+
+        now: the time, when that is later than the one of `advance`.
 
         Their readings are forgotten and further ones not used, without counting. Every virtual
         sensor that reads one, or started from one, stops at once, at all times that can be redone
@@ -159,8 +172,9 @@ class Steps:
         lost = names - self._told.distrusted
         for name in lost:
             self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
-        # it may be trusted at any time before the next step
-        self._told.distrust(names, None if self._now is None else self._now + self.period - 1)
+        if self._now is not None:  # it may be trusted at any time before the next step
+            now = max(self._now, now or self._now) + self.period - 1
+        self._told.distrust(names, now)
         if lost:
             gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
@@ -174,6 +188,10 @@ class Steps:
     def silent(self, name: str, now: int) -> bool:
         """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
         return self._told.silent(name, now, self._began)
+
+    def lack(self, name: str) -> Reason | None:
+        """Return why nothing counts of a sensor or a command now; None: something does."""
+        return self._told.lack(name, self._now)
 
     def confirmed(self, time: int, without: Iterable[str] = ()) -> bool:
         """Tell whether every sensor that is not silent, nor named, has said what it is then."""
@@ -202,6 +220,7 @@ class Steps:
         first, self._now = self._now is None, now
         if first:
             self._began = now
+            self._told.begin(now)
             self.refused.update(self._told.drop_ahead(now))
         if self._origin is None:
             return
@@ -226,6 +245,14 @@ class Steps:
             self._settled.append(self._past.popleft())
         if len(self._settled) >= self._measured.record.block:
             self._settle()
+
+    def step_back(self, to: int) -> int:
+        """Forget the states after a time [ns], to step them anew; return the time of the last."""
+        while len(self._past) > 1 and self._at(self._past[-1].tick) > to:
+            self._past.pop()
+        self._now = to
+        self._estimates = self._unseen = None
+        return self._at(self._past[-1].tick)
 
     def _take_back(self, last: int) -> None:
         """Drop the states that late data changes; wait with it when that is often and far."""

@@ -1,6 +1,7 @@
 """The engine: decides who serves each channel and what goes out; knows no ROS."""
 
 from vsensor_ros.engine.bumpless import Bumpless
+from vsensor_ros.engine.commands import CommandState
 from vsensor_ros.engine.engine import Engine
 from vsensor_ros.engine.events import (
     ANYBODYS,
@@ -20,6 +21,7 @@ __all__ = [
     'ANYBODYS',
     'Bumpless',
     'ChannelState',
+    'CommandState',
     'Composition',
     'Decision',
     'Engine',

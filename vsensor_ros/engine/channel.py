@@ -39,12 +39,17 @@ class Channel:
     readings: int = 0  # that came in
     why: Reason | None = None  # there is no valid value of it, though there should be one
 
-    def state(self, decision: Decision, silent: Reason | None) -> tuple[str, Reason | None]:
-        """Return what it is, and why, given who is to serve it and why its driver is not heard."""
+    def state(self, decision: Decision, silent: Reason | None,
+              odd: Reason | None = None) -> tuple[str, Reason | None]:
+        """
+        Return what it is, and why, given who is to serve it.
+
+        silent: why its driver is not heard. odd: what is to be said of it while it is.
+        """
         if decision.source is Source.REAL:
             if silent is not None:
                 return SILENT, silent
-            return (REAL, decision.reason) if self.why is None else (NONE, self.why)
+            return (REAL, odd or decision.reason) if self.why is None else (NONE, self.why)
         if self.why is None and decision.source is Source.VIRTUAL:
             return VIRTUAL, decision.reason
         return NONE, self.why or decision.reason

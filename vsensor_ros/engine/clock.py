@@ -26,7 +26,7 @@ class Clock:
         self.now = 0  # 0 until it has begun
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards', 'stood still'
         self.simulated = simulated
-        self._max_jump = max_jump
+        self.max_jump = max_jump
         self._begin = 0  # `now` less what has passed without the jumps
         self._still = False
 
@@ -39,7 +39,7 @@ class Clock:
             self.now = self._begin = now
             return 0
         ahead = now - before
-        if 0 < ahead <= self._max_jump:
+        if 0 < ahead <= self.max_jump:
             self.now, self._still = now, False
             return 0
         if -TRIMMED < ahead < 0 and not self.simulated:

@@ -20,6 +20,7 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.channel import Channel, NONE, VIRTUAL
 from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.commands import Commands
 from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
@@ -43,19 +44,23 @@ class Engine:
     def __init__(self, setup: Setup) -> None:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
         self._design = setup.design
-        self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead)
+        self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead,
+                          setup.command_ends)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
-        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held)
+        self._commands = Commands(setup.design.inputs, self._bank, self._clock, self._intake)
+        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
+                                 self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
-                   self._intake.say) for i, plan in enumerate(setup.streams)]
+                   self._bank.period, self._intake.say, self._intake.count)
+            for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts
         self._knows: frozenset[str] = frozenset()  # sensors that isolation has spoken of
@@ -115,6 +120,7 @@ class Engine:
         self._restart()
         self._ticks.restart()
         self._intake.forget()
+        self._commands.forget()
 
     def _restart(self) -> None:
         self._starts += 1
@@ -133,11 +139,8 @@ class Engine:
         the message in a Composition. related: see `Stream.judge_foreign`.
         """
         where = self._streams[stream]
-        verdict = where.judge_foreign(message, token, related) if message.foreign else \
+        return where.judge_foreign(message, token, related) if message.foreign else \
             where.judge(message, token)
-        if isinstance(verdict, Reason):
-            self.count(where.names[0], verdict)
-        return verdict
 
     def failed_templates(self, stream: int) -> list[tuple[int, Token]] | None:
         """Return what a foreign message may be related to; None, mostly: nothing has failed."""
@@ -154,8 +157,8 @@ class Engine:
         self.count(where.names[0], UNREADABLE)
 
     def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
-        """Take a command; it counts from its stamp, or from when it was received."""
-        self._intake.command(name, value, stamp, received)
+        """Take a command; it counts from its stamp, or from when it was received: `Commands`."""
+        self._commands.take(name, value, stamp, received)
 
     def count(self, name: str, why: Reason) -> None:
         """Count, and say now and then, what of a channel was not used or not sent, and why."""
@@ -217,6 +220,10 @@ class Engine:
         self._switch = act(self._clock.lasting())
         return self._decide()[0]
 
+    def _stream_of(self, name: str) -> Stream | None:
+        """Return where a sensor is heard; None of a command."""
+        return next((stream for stream in self._streams if name in stream.names), None)
+
     # ------------------------------------------------------------------------------ decisions
 
     def ticks(self) -> Iterator[int]:
@@ -231,9 +238,9 @@ class Engine:
         """Step the virtual sensors to a tick, and speak for the failed."""
         if self._watched:
             self._silence()
-        idle = not (self._switch.faulty or self._switch.forced)
-        self._ticks.advance(at, idle)
-        if idle:
+        lag = self._lag()
+        self._ticks.advance(at, lag)
+        if lag is None:
             return []
         made, spoken = self._decide()
         at = self._ticks.time
@@ -241,6 +248,12 @@ class Engine:
             if stream not in spoken and not self._switch.faulty.isdisjoint(stream.names):
                 made += self._speak(stream, at)
         return made
+
+    def _lag(self) -> int | None:
+        """Return by how much older than a tick its estimates are wanted; None: nobody asks."""
+        names = self._switch.faulty | self._switch.forced
+        return min((stream.lag(name) for stream in self._streams for name in stream.names
+                    if name in names), default=None)
 
     def _silence(self) -> None:
         """Tell the switch who has fallen silent, of those whose silence counts."""
@@ -253,12 +266,12 @@ class Engine:
 
     def _decide(self) -> tuple[Messages, list[Stream]]:
         """Let the switch decide, the bank follow; return what the streams that changed say."""
-        self._ticks.catch_up()
+        self._ticks.catch_up(self._lag() or 0)
         before = {s: (d.source, d.fault_set) for s, d in self._switch.decisions.items()}
         for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
-                self._bank.distrust(self._believed)
+                self._bank.distrust(self._believed, self._ticks.time)
             self._switch = self._switch.decide(
                 self._clock.lasting(), self._stand_in.ready, self._stand_in.why_not)
             if self._switch.faulty == self._believed:
@@ -319,7 +332,19 @@ class Engine:
         return seen != before
 
     def _is(self, stream: Stream, channel: Channel) -> tuple[str, Reason | None]:
-        return channel.state(self._switch.decisions[channel.name], stream.why_silent(channel.name))
+        return channel.state(self._switch.decisions[channel.name],
+                             stream.why_silent(channel.name), stream.why_odd(channel.name))
+
+    def reserve(self, name: str) -> tuple[tuple[str, ...], float] | None:
+        """
+        Return who would speak for a sensor if it failed now; None: nobody.
+
+        That is the fault set of a virtual sensor, and its standard deviation [unit of the sensor].
+        """
+        for names, key in self._switch.designed[name]:
+            if self._switch.faulty <= names and self._stand_in.ready(key, name):
+                return key, self._bank.deviation(key, name)
+        return None
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
@@ -348,7 +373,7 @@ class Engine:
             faulty, tuple(s for s in self._design.sensors if s in self._knows),
             self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             MappingProxyType(dict(self._clock.jumps)),
-            self._starts + sum(self._bank.jumps.values()), still)
+            self._starts + sum(self._bank.jumps.values()), still, self._commands.states(counts))
 
     def _residual(self, name: str, fault_set: tuple[str, ...]) -> float:
         """Return the last reading of a faulty sensor - its estimate; NaN when not known."""

@@ -1,4 +1,4 @@
-"""What comes in, and what of it is not used: readings and commands on their way to the bank."""
+"""What comes in, and what of it is not used: readings on their way to the bank."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_REMARKS = 1000  # kept for people
 
 
 class Intake:
-    """Takes readings and commands; counts what is not used, by channel and reason."""
+    """Takes readings; counts what is not used, of commands too, by channel and reason."""
 
     def __init__(self, bank: Bank, clock: Clock) -> None:
         self.held: dict[str, float] = {}  # by sensor: the last value worth holding
@@ -33,6 +33,10 @@ class Intake:
         self._counts[name, why] += 1
         if not quietly:
             self._counted[name, why] = None
+
+    def note(self, name: str, why: Reason) -> None:
+        """Say now and then what of a channel the bank does not use, which it counts itself."""
+        self._counted[name, why] = None
 
     def say(self, level: str, what: Reason, subject: object = None) -> None:
         """Let people hear something; the subject is itself if not given."""
@@ -55,39 +59,37 @@ class Intake:
         return said
 
     def readings(self, stream: Stream, message: Message, received: int) -> None:
-        """Take what a message says of its channels. received: its time when it has no stamp."""
-        stamp = message.stamp or self._unstamped(received)
+        """
+        Take what a message says of its channels.
+
+        received: when it came, by the system's clock; its time when it has no stamp.
+        """
+        now = self._clock.now
+        if received > now and not self._clock.simulated:
+            now = received  # after the clock was looked at, which is a while ago when all is busy
+        stamp = message.stamp or self.arrival(received)
         for channel, value in zip(stream.channels, message.values):
             if value.__class__ is float:
                 channel.readings += 1
                 if stamp:
-                    self._feed(channel, stamp, value)
+                    self._feed(channel, stamp, value, now)
             elif not message.foreign and not (
                     is_absent(value) and stream.fresh(channel.name)):
                 assert isinstance(value, Reason)  # no other driver sends it, either
                 self.count(channel.name, value)
-
-    def command(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
-        """Take a command; it counts from its stamp, or from when it was received."""
-        if isinstance(value, Reason):
-            self.count(name, value)
-        elif stamp := stamp or self._unstamped(received):
-            reason = self._bank.take(name, stamp, value, self._clock.now)
-            if reason is not None:
-                self._counted[name, reason] = None  # by the bank
 
     def forget(self) -> None:
         """Begin anew after the clock jumped."""
         self._last.clear()
         self._long.clear()
 
-    def _unstamped(self, received: int) -> int:
-        """Return the time that counts for a message without a stamp; 0: time has not begun."""
+    def arrival(self, received: int) -> int:
+        """Return when a message came, which counts if it has no stamp; 0: time has not begun."""
         return self._clock.now if self._clock.simulated else received
 
-    def _feed(self, channel: Channel, stamp: int, value: float) -> None:
+    def _feed(self, channel: Channel, stamp: int, value: float, now: int) -> None:
         name = channel.name
-        reason = self._bank.take(name, stamp, value, self._clock.now)
+        reason = self._bank.take(name, stamp, value, now)
         if reason is None:
             self.held[name] = value
             before, self._last[name] = self._last.get(name, stamp), stamp
@@ -96,7 +98,7 @@ class Intake:
             elif name in self._long:
                 del self._long[name]
         elif reason.code != 'isolated':  # what it says then is compared, and not worth a word
-            self._counted[name, reason] = None  # by the bank
+            self.note(name, reason)
 
     def _time(self, channel: Channel, interval: int) -> None:
         """Say once when a sensor is slower than the silence that makes it invalid."""

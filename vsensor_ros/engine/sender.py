@@ -1,19 +1,44 @@
-"""Who sends the messages of a stream, and in what order they go out."""
+"""
+Who sends the messages of a stream, what their stamps are like, and what may follow what.
+
+Live messages go on whatever their stamps are. These count for what is composed: it is newer than
+all that went out before, and what follows it on a channel is newer still.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
+from statistics import median_low
+from typing import NamedTuple
 
 from vsensor_ros.engine.events import Token
+from vsensor_ros.reason import Reason
 
 CLOCKS_APART = 1_000_000_000  # ns; stamps further than this from ours are another clock's
-PATIENCE = 5_000_000_000  # ns of nothing but stamps behind an estimate's, then they are believed
+PATIENCE = 5_000_000_000  # ns after the last composed message for which it is to be followed
 AHEAD = 250_000_000  # ns by which a stamp may lie ahead of the node's clock unasked
-AGREE = 3  # messages in a row that lie further ahead by the same: then their clock is believed
+AGREE = 3  # messages in a row that are off by the same: then their clock is believed
 MOST = 64  # sets of channels that came together, kept at hand
 NEVER = -2**63  # ns, before any stamp
 HELD = 10_000_000  # ns by which an estimate may be stamped after its state, at a fault
+RECENT = 32  # messages whose stamps are remembered
+ENOUGH = 8  # of them that it takes to tell that a driver is late
+INCREASING = 0.75  # of their stamps that must be newer than the one before
+LATE = 2  # intervals between its messages, and periods, above which a driver is late
+MISSING = 2.5  # times its longest recent silence after which a late driver has stopped
+PAUSE = 100_000_000  # ns for which it may say nothing on a busy computer, at least
+WAITING = 10  # messages of a late driver that may come between two ticks
+
+
+class Waiting(NamedTuple):
+    """A message of a late driver that waits for the estimates at its own stamp."""
+
+    token: Token
+    stamp: int
+    values: tuple[float | Reason, ...]  # by channel of the stream
 
 
 @dataclass(eq=False)
@@ -32,13 +57,25 @@ class Sender:
     template: Token | None = None  # its last message with the most channels
     taken: int = 0  # when that came
     carried: int = 0  # healthy channels in it
-    last_sent: int = NEVER  # the stamp that went out last
-    offset: int = 0  # of the clock of its stamps to the engine's
+    # stamps of its last messages that are believed, and when they came
+    recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENT))
+    newest: int = NEVER  # believed stamp that went out, live or composed
     ahead: int = AHEAD  # ns by which its stamps may lie ahead of the engine's clock
-    doubted: tuple[int, int] = (0, 0)  # by how much the last one that lay further did; in a row
-    composed: bool = False  # some of what went out is not as it came
-    blocked: int | None = None  # since when all stamps were too old to go out
-    refused: int = NEVER  # the last of these
+    doubted: tuple[int, int, object] = (0, 0, None)  # see `_believes`
+    # while a channel of it is failed
+    composes: bool = False
+    late: bool = False  # its messages keep their own stamps
+    lag: int = 0  # by how much these are older than the tick, at least
+    offset: int = 0  # of the clock of its stamps to the engine's, when that is another
+    waiting: deque[Waiting] = field(default_factory=lambda: deque(maxlen=WAITING))
+    spoke: int = 0  # when the last message came whose stamp goes on from those before
+    held_up: int | None = None  # since when what is composed would not be newer than the rest
+    # and afterwards
+    floors: dict[str, int] = field(default_factory=dict)  # by channel: the last composed stamp
+    composed: int = 0  # when that went out
+    passed: bool = False  # a live message has been newer since
+    behind: int | None = None  # since when all have been older
+    refused: int = NEVER  # the stamp of the last of these
 
     def keep(self, token: Token, carried: int, now: int, max_age: int) -> None:
         """Take a message for the template, unless the one there is has more channels."""
@@ -56,77 +93,165 @@ class Sender:
     def join(self, other: Sender) -> None:
         """Learn that two were one."""
         self.channels |= other.channels
-        self.composed |= other.composed
-        self.last_sent = max(self.last_sent, other.last_sent)
+        for name, stamp in other.floors.items():
+            self.floors[name] = max(stamp, self.floors.get(name, NEVER))
+        self.composed = max(self.composed, other.composed)
+        self.newest = max(self.newest, other.newest)
+        self.recent = max(self.recent, other.recent, key=len)
+        if other.composes and not self.composes:
+            self.composes, self.late, self.lag = True, other.late, other.lag
+            self.offset, self.spoke = other.offset, other.spoke
         if other.taken > self.taken:
             self.template, self.taken, self.first = other.template, other.taken, other.first
         self.heard = max(self.heard, other.heard)
 
     def forget(self, now: int) -> None:
         """Begin anew after the clock went back; what its messages look like is still so."""
-        self.last_sent, self.blocked, self.composed = NEVER, None, False
-        self.offset, self.taken, self.carried = 0, 0, 0
+        self.recent.clear()
+        self.waiting.clear()
+        self.floors.clear()
+        self.newest, self.behind, self.held_up = NEVER, None, None
+        self.late, self.lag, self.offset, self.taken, self.carried = False, 0, 0, 0, 0
         self.heard = min(self.heard, now)
 
-    def sends(self, stamp: int, now: int) -> None:
-        """Note that a live message goes out."""
-        self.offset, self.last_sent, self.blocked = stamp - now, stamp, None
+    # ----------------------------------------------------------------- what its stamps are like
 
-    def believes(self, stamp: int, now: int) -> bool:
+    def sends(self, stamp: int, now: int) -> int:
         """
-        Tell whether a stamp that lies far ahead of the engine's clock is to be believed.
+        Note the stamp of a live message that goes on; return by how much they step back for good.
 
-        A single one is a mistake: what comes after it would be old, and an estimate from the
-        future. AGREE in a row are another clock, and so is the very first.
+        A stamp far from the others may be a mistake. What is composed must not wait for it.
         """
-        lead, (before, row) = stamp - now, self.doubted
-        row = row + 1 if row and abs(lead - before) <= AHEAD else 1
-        self.doubted = lead, row
-        if row < AGREE and self.last_sent != NEVER:
+        if self.newest < stamp <= now + self.ahead and now:  # mostly
+            self.newest = stamp
+            self.recent.append((stamp, now))
+            return 0
+        before = max(self.newest, stamp)
+        far = stamp > now + self.ahead or stamp < before - CLOCKS_APART
+        if not now or far and not self._believes(stamp, now):
+            return 0  # 0: no time is known by which it could be judged
+        self.recent.append((stamp, now))
+        self.newest = max(self.newest, stamp)
+        return before - self.newest
+
+    def keeps(self, token: Token, stamp: int, values: tuple[float | Reason, ...], now: int,
+              active: bool) -> None:
+        """Note a message that does not go on as it came; active: what is composed of it does."""
+        if not now or stamp > now + self.ahead:
+            return
+        self.recent.append((stamp, now))
+        if stamp > self.newest - CLOCKS_APART:
+            self.spoke = now
+        if active and self.late and token is self.template:
+            self.waiting.append(Waiting(token, stamp, values))
+            self.lag = max(0, min(self.lag, now - stamp))
+
+    def _believes(self, stamp: int, now: int) -> bool:
+        """
+        Tell whether a stamp far from the others is believed: as AGREE in a row, or the first.
+
+        Then it is of another clock than those before.
+        """
+        last = self.recent[-1] if self.recent else None
+        lead, (before, row, after) = stamp - now, self.doubted
+        row = row + 1 if row and after is last and abs(lead - before) <= AHEAD else 1
+        self.doubted = lead, row, last
+        if row < AGREE and last is not None:
             return False
-        self.ahead, self.doubted = lead + AHEAD, (0, 0)
+        self.doubted = 0, 0, None
+        self.recent.clear()
+        self.newest = NEVER
+        if stamp > now + self.ahead:
+            self.ahead = lead + AHEAD
         return True
 
-    @property
-    def apart(self) -> bool:
-        """Whether its stamps are of another clock than the engine's."""
-        return abs(self.offset) > CLOCKS_APART
+    def lateness(self, period: int) -> int:
+        """
+        Return by how much its stamps are older than the time when they come; 0: not worth a word.
+
+        That is the least of late, of a driver whose stamps go on. period: of the ticks.
+        """
+        if len(self.recent) < ENOUGH:
+            return 0
+        increasing = sum(b > a for (a, _), (b, _) in pairwise(self.recent))
+        least = min(came - stamp for stamp, came in self.recent)
+        known = increasing >= INCREASING * (len(self.recent) - 1) and \
+            LATE * max(self._interval(), period) < least <= CLOCKS_APART
+        return least if known else 0
+
+    def _interval(self) -> float:
+        """Return the time between two of its messages, in the mean."""
+        return (self.recent[-1][1] - self.recent[0][1]) / max(1, len(self.recent) - 1)
+
+    # ------------------------------------------------------------------------ what is composed
+
+    def begin(self, period: int) -> None:
+        """Note that messages are composed from now on, and how they are to be stamped."""
+        self.composes, self.held_up = True, None
+        last = [stamp - came for stamp, came in list(self.recent)[-AGREE:]]
+        offset = median_low(last) if last else 0
+        self.offset = offset if abs(offset) > CLOCKS_APART else 0
+        self.lag = self.lateness(period)
+        self.late = self.lag > 0
+        self.spoke = self.recent[-1][1] if self.recent else 0
+
+    def end(self) -> None:
+        """Note that no channel is failed any more."""
+        self.composes, self.late, self.lag = False, False, 0
+        self.waiting.clear()
+
+    def has_stopped(self, now: int) -> bool:
+        """Tell whether a late driver says nothing any more: for longer than is usual for it."""
+        gap = max((b - a for (_, a), (_, b) in pairwise(self.recent)), default=0)
+        return now - self.spoke > max(MISSING * gap, PAUSE)
 
     def stamp_for(self, time: int, at_once: bool) -> int:
         """
-        Return the stamp of an estimate for a time: that time, on the driver's clock.
+        Return the stamp of what is composed for a time: that time, on the driver's clock.
 
         at_once: may be later by HELD, if only so it is newer than what went out.
         """
-        stamp = time + self.offset if self.apart else time
-        if at_once and 0 <= self.last_sent - stamp < HELD:
-            return self.last_sent + 1
+        stamp = time + self.offset
+        if at_once and 0 <= self.newest - stamp < HELD:
+            return self.newest + 1
         return stamp
 
-    def in_order(self, stamp: int, now: int, max_age: int,
-                 warn: Callable[[float], None]) -> bool:
-        """
-        Tell whether a message with this stamp may go out: when it is newer than what went out.
+    def sent(self, names: Iterable[str], stamp: int, now: int) -> None:
+        """Note that a composed message with these channels went out."""
+        self.newest = max(self.newest, stamp)
+        self.floors.update(dict.fromkeys(names, stamp))
+        self.composed, self.passed, self.behind = now, False, None
 
-        A clock that was set back is believed when for max_age nothing but older stamps has come,
-        and they go on increasing; behind estimates, and by less than CLOCKS_APART, which passes
-        by itself, for PATIENCE. warn: is told, then, by how many seconds the stamps step back.
+    def follows(self, present: Iterable[str], stamp: int, now: int, max_age: int,
+                warn: Callable[[int], None]) -> bool:
         """
-        if stamp > self.last_sent:
-            self.blocked = None
-            return True
-        if self.blocked is None:
-            self.blocked, self.refused = now, stamp
-        goes_on, self.refused = stamp > self.refused, stamp
-        if goes_on:  # else it is late itself, and says nothing of the clock
-            self.offset = stamp - now
-        back = self.last_sent - stamp
-        patience = PATIENCE if self.composed or back <= CLOCKS_APART else max_age
-        if not goes_on or now - self.blocked < patience:
-            return False
-        warn(back * 1e-9)
-        self.blocked, self.last_sent = None, NEVER
-        return True
+        Tell whether a live message may go out: newer than what was composed of its channels.
+
+        That is asked for PATIENCE; what is older all the time has another clock then. Once one
+        was newer, a clock that was set back is believed when for max_age nothing but older stamps
+        has come, and they go on increasing. warn: is told, then, by how much the stamps step back.
+        """
+        back = max((self.floors.get(name, NEVER) for name in present), default=NEVER) - stamp
+        over = not 0 <= now - self.composed <= PATIENCE
+        believed = False
+        if back < 0:
+            self.behind, self.passed = None, True
+        elif over:
+            believed = not self.passed
+        else:
+            if self.behind is None:
+                self.behind, self.refused = now, stamp
+            goes_on, self.refused = stamp > self.refused, stamp
+            believed = self.passed and goes_on and back > CLOCKS_APART \
+                and now - self.behind >= max_age
+        if over or believed:
+            self.floors.clear()
+            self.behind = None
+        if believed:
+            self.newest = NEVER
+            self.recent.clear()
+            warn(back)
+        return back < 0 or over or believed
 
 
 class Senders:
@@ -166,6 +291,10 @@ class Senders:
             sender = self._of[channel] = self.all[0] if self.all else self._new()
             sender.channels.add(channel)
         return sender
+
+    def known(self, channel: str) -> Sender | None:
+        """Return who sends a channel, None if it was never heard."""
+        return self._of.get(channel)
 
     def serving(self, channels: Iterable[str]) -> dict[Sender, list[str]]:
         """Return these channels by who sends them."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from vsensor_ros.bank import End
 from vsensor_ros.engine.switch import Policy
 from vsensor_ros.observers import Design
 
@@ -40,3 +41,4 @@ class Setup:
     streams: tuple[StreamPlan, ...]
     simulated: bool  # the clock is a simulation's: it stands still between two looks
     live: Live
+    command_ends: Mapping[str, End] = field(default_factory=dict)  # of those that may end

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 import math
 
 from vsensor_ros.bank import Bank
@@ -16,17 +16,24 @@ from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
 
 OUT_OF_LINE = 4.0  # standard deviations
+LATE = 0.1  # s that stamps may be off before one speaks of clocks
 
 
 class StandIn:
     """Speaks for failed channels, without a step where one source follows another."""
 
     def __init__(self, bank: Bank, clock: Clock, live: Live,
-                 held: dict[str, float]) -> None:
-        """Begin; held: by sensor the last value worth holding, which this keeps up to date."""
+                 held: dict[str, float], stream_of: Callable[[str], Stream | None]) -> None:
+        """
+        Begin with nothing said.
+
+        held: by sensor the last value worth holding, which this keeps up to date. stream_of: where
+        a sensor is heard, None of a command.
+        """
         self.live = live  # changes while it runs
         self.estimates = 0  # that went out
         self._bank, self._clock, self._held = bank, clock, held
+        self._stream_of = stream_of
 
     def ready(self, fault_set: tuple[str, ...], name: str) -> bool:
         """Tell whether a virtual sensor may serve."""
@@ -38,7 +45,25 @@ class StandIn:
         if reason is None and self._too_uncertain(fault_set, name):
             return Reason.of('too uncertain', limit=self.live.max_deviation[name],
                              deviation=self._bank.deviation(fault_set, name))
-        return reason
+        return self._told_apart(reason)
+
+    def _told_apart(self, reason: Reason | None) -> Reason | None:
+        """Tell an input that is silent from one whose stamps are of another clock."""
+        if reason is None or reason.code not in ('input silent', 'no reading yet'):
+            return reason
+        name = reason.fact('name')
+        stream = self._stream_of(name)
+        silence = None if stream is None else stream.silence(name)
+        if stream is None or silence is None:
+            return reason
+        ahead = stream.ahead(name) * 1e-9 if reason.code == 'no reading yet' else \
+            silence * 1e-9 - reason.fact('seconds')
+        if not stream.fresh(name):
+            return Reason.of('input silent', name=name, seconds=silence * 1e-9)
+        if abs(ahead) < LATE:
+            return reason
+        return Reason.of('input of another clock', name=name, seconds=ahead,
+                         clock=self._clock.now * 1e-9)
 
     def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
         limit = self.live.max_deviation[name]
@@ -47,7 +72,7 @@ class StandIn:
     def speak(self, stream: Stream, decisions: Mapping[str, Decision],
               distrusted: Collection[str], at: int, at_once: bool = False) -> list[Composition]:
         """
-        Return what stands in for the failed channels of a stream at the time of the state.
+        Return what stands in for the failed channels of a stream at the time of a tick.
 
         distrusted: sensors whose readings may have been faulty. at_once: see `Stream.compose`.
         """
@@ -74,7 +99,7 @@ class StandIn:
         stream.fail(frozenset(wanted), frozenset(passing))
         if not wanted:
             return []
-        made, troubles = stream.compose(at, wanted, at_once)
+        made, troubles = stream.compose(at, wanted, at_once, self._bank.recall)
         for channel in stream.channels:
             if channel.name in troubles:
                 _note(channel, troubles[channel.name])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from vsensor_ros.engine.commands import CommandState
 from vsensor_ros.observers import Entry
 from vsensor_ros.reason import Reason
 
@@ -56,6 +57,7 @@ class EngineState:
     jumps: Mapping[str, int]  # of the clock, by way: 'backwards', 'forwards', 'stood still'
     starts: int  # of all virtual sensors anew, after a jump or a reset
     still: float  # s of steady time since simulated time moved; 0 of another clock
+    commands: tuple[CommandState, ...] = ()
 
     @property
     def stopped(self) -> Reason | None:

@@ -1,15 +1,18 @@
 """
 One stream of messages: which of them go on, and what is to stand in for those that do not.
 
-A message with no failed channel in it goes on as it came. While a channel of a sender is failed,
-its messages are composed: the latest live one is the template, the failed channels are written
-into it, and every other channel is what it last said. All times are in ns.
+A message with no failed channel in it goes on as it came, whatever its stamp; only what was
+composed lately must be followed by something newer. While a channel of a sender is failed, its
+messages are composed: the latest live one is the template, the failed channels are written into
+it, and every other channel is what it last said. All times are in ns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
@@ -26,8 +29,10 @@ from vsensor_ros.engine.sender import Sender, Senders
 from vsensor_ros.engine.settings import StreamPlan
 from vsensor_ros.reason import Reason
 
-UNREADABLE, NOT_NEWER, FROM_THE_FUTURE, ONLY_NAN, NEVER_SEEN = map(Reason, (
-    'unreadable', 'not newer', 'from the future', 'only NaN', 'never seen'))
+UNREADABLE, NOT_NEWER, ONLY_NAN, NEVER_SEEN = map(Reason, (
+    'unreadable', 'not newer', 'only NaN', 'never seen'))
+LATELY = 5_000_000_000  # ns for which it is said that something was withheld
+MOST = 1000  # of these that are counted
 ABSENT = 'not in the message'  # code of the reason why a message has no value of a channel
 
 
@@ -42,22 +47,34 @@ class Wanted(NamedTuple):
     above: float | None = None  # see Channel.serve
 
 
+# what a virtual sensor said of a channel at an earlier time: value, deviation, interval
+Recall = Callable[[tuple[str, ...], str, int],
+                  'tuple[float, float, tuple[float, float] | None] | None']
+
+
 class Stream:
     """The messages of one input, on their way to one output."""
 
     def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
-                 say: Callable[[str, Reason], object]) -> None:
-        """Begin with nothing heard; channels: those of the plan, in its order."""
+                 period: int, say: Callable[[str, Reason], object],
+                 count: Callable[[str, Reason], object]) -> None:
+        """
+        Begin with nothing heard; channels: those of the plan, in its order.
+
+        period: of the ticks. say: something to people, of a level. count: what of a channel did
+        not go on, and why.
+        """
         self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
         self.active = False  # sends
         self.failed: frozenset[str] = frozenset()  # channels that are composed
         self.passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
         self.plain = True  # nothing was ever composed: every message goes on
         self.senders = Senders()
-        self._clock, self._say = clock, say
+        self._clock, self._period, self._say, self._count = clock, period, say, count
         self._latest: dict[str, float] = {}  # by channel: what it said
         self._heard: dict[str, int] = {}  # and when, by the engine's clock
         self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
+        self._withheld: dict[str, deque[int]] = {}  # by channel: when something did not go on
         self._max_age = {c.name: c.max_age for c in channels}
         self._longest = max(self._max_age.values())
         self._only = self.senders.sender(self.names) if len(self.names) == 1 else \
@@ -70,38 +87,40 @@ class Stream:
         Tell whether a live message goes on.
 
         None: it is kept for the next one that is composed. A reason: it should have gone on, and
-        does not. The numbers of channels that are not in the stream's names are nobody's.
+        does not; that is counted. The numbers of channels that are not in the stream's names are
+        nobody's.
         """
         now, values, stamp = self._clock.now, message.values, message.stamp
-        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float and (
-                stamp is None
-                or self._only.last_sent < stamp <= now + self._only.ahead):
+        if self.plain and self.active and len(values) == 1 and values[0].__class__ is float:
             self._note(self.names[0], float(values[0]), now)
             only = self._only  # mostly it is so
             only.take(token, now)
-            if stamp is not None:
-                only.sends(stamp, now)
+            if stamp is not None and (back := only.sends(stamp, now)):
+                self._step_back(back)
             return AS_IT_CAME
         for name, value in zip(self.names, values):
             if isinstance(value, Reason):
                 self._lacks[name] = value, now
             else:
                 self._note(name, value, now)
-        sender = self.senders.sender(self.names if Reason not in map(type, values) else tuple(
-            n for n, v in zip(self.names, values) if not is_absent(v)))
+        present = self.names if Reason not in map(type, values) else tuple(
+            n for n, v in zip(self.names, values) if not is_absent(v))
+        sender = self.senders.sender(present)
         failed = self.failed and self.failed & sender.channels
         sender.keep(token, sum(v.__class__ is float and n not in failed
                                for n, v in zip(self.names, values)) if len(values) > 1 else 0,
                     now, self._max_age[self.names[0]])
         if failed or not self.active:
+            if stamp is not None:
+                sender.keeps(token, stamp, values, now, self.active)
             return None
         if stamp is not None:
-            if stamp > now + sender.ahead and not sender.believes(stamp, now):
-                return FROM_THE_FUTURE
-            if stamp <= sender.last_sent and not sender.in_order(
-                    stamp, now, self._longest, self._step_back):
+            if sender.floors and not sender.follows(
+                    present, stamp, now, self._longest, self._step_back):
+                self._withhold(present)
                 return NOT_NEWER
-            sender.sends(stamp, now)
+            if back := sender.sends(stamp, now):
+                self._step_back(back)
         return AS_IT_CAME if self.plain else self._blended(values)
 
     def judge_foreign(self, message: Message, token: Token,
@@ -120,6 +139,8 @@ class Stream:
             for sender in self.senders.all:
                 if sender.number == related:
                     sender.keep(token, 0, now, self._max_age[self.names[0]])
+                    if message.stamp is not None:
+                        sender.keeps(token, message.stamp, message.values, now, self.active)
             return None
         return AS_IT_CAME if self.active else None
 
@@ -154,9 +175,15 @@ class Stream:
                     changed[i] = put
         return Forward(changed) if changed else AS_IT_CAME
 
-    def _step_back(self, seconds: float) -> None:
+    def _withhold(self, names: Iterable[str]) -> None:
+        """Note that channels do not go out, because they would not be newer than what did."""
+        for name in names:
+            self._count(name, NOT_NEWER)
+            self._withheld.setdefault(name, deque(maxlen=MOST)).append(self._clock.now)
+
+    def _step_back(self, by: int) -> None:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
-                                     output=self.plan.output, seconds=seconds))
+                                     output=self.plan.output, seconds=by * 1e-9))
 
     def forget(self) -> None:
         """Begin anew after the clock went back."""
@@ -164,6 +191,7 @@ class Stream:
             sender.forget(self._clock.now)
         self._heard.clear()
         self._lacks.clear()
+        self._withheld.clear()
 
     # ------------------------------------------------------------------- what is known of them
 
@@ -180,12 +208,21 @@ class Stream:
         heard = self._heard.get(name)
         return heard is not None and self._clock.now - heard <= self._max_age[name]
 
+    def silence(self, name: str) -> int | None:
+        """Return the time [ns] since a channel spoke, whatever its stamp; None before it did."""
+        heard = self._heard.get(name)
+        return None if heard is None else self._clock.now - heard
+
+    def ahead(self, name: str) -> int:
+        """Return how far [ns] a channel's stamps are ahead of the clock, as it sends them."""
+        return self.senders.of(name).offset
+
     def why_silent(self, name: str) -> Reason | None:
         """Return why a healthy channel is not to be had live, or None when it is."""
         now, topic = self._clock.now, self.plan.source
         if self.fresh(name):
-            blocked = self.senders.of(name).blocked
-            stuck = blocked is not None and now - blocked > self._max_age[name]
+            behind = self.senders.of(name).behind
+            stuck = behind is not None and now - behind > self._max_age[name]
             return Reason.of('stale messages', topic=topic, why=NOT_NEWER) if stuck else None
         reason, at = self._lacks.get(name, (None, 0))
         if reason is not None and now - at <= self._max_age[name]:
@@ -199,6 +236,20 @@ class Stream:
         """Why no message could be composed, for want of one to begin with; None: it could."""
         return NEVER_SEEN if self.plan.stamped and all(
             sender.template is None for sender in self.senders.all) else None
+
+    def why_odd(self, name: str) -> Reason | None:
+        """Return what is to be said of a channel that is live: of late not all of it went on."""
+        times = self._withheld.get(name)
+        count = sum(self._clock.now - t <= LATELY for t in times) if times else 0
+        return Reason.of('withheld', count=count, seconds=LATELY * 1e-9,
+                         why=NOT_NEWER) if count else None
+
+    def lag(self, name: str) -> int:
+        """Return by how much older than the tick estimates of a channel are wanted."""
+        sender = self.senders.known(name)
+        if sender is None:
+            return 0
+        return sender.lag if sender.composes else sender.lateness(self._period)
 
     def driver_silence(self, name: str) -> Reason | None:
         """Return for how long a channel's driver has been silent, None when it is not."""
@@ -227,19 +278,32 @@ class Stream:
             self.failed = failed
             for sender in self.senders.all:
                 sender.carried = 0
+                self._turn(sender)
             for channel in self.channels:
                 if channel.name not in failed | passing:
                     channel.why = None
 
-    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool,
+    def _turn(self, sender: Sender) -> None:
+        """Let a sender begin or end to be one whose messages are composed."""
+        failed = not self.failed.isdisjoint(sender.channels)
+        if failed and not sender.composes:
+            sender.begin(self._period)
+            if sender.offset:
+                self._say('error', Reason.of('clock of its own', topic=self.plan.source,
+                                             seconds=sender.offset * 1e-9))
+        elif not failed and sender.composes:
+            sender.end()
+
+    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool, recall: Recall,
                 ) -> tuple[list[Composition], dict[str, Reason]]:
         """
-        Make of each template a message with these channels replaced, for the time of the state.
+        Make of each template a message with these channels replaced, for the time of the tick.
 
         All other channels are as they were last heard, NaN when that is too long ago. A sender
         none of whose channels has a value sends nothing; beside others, one without is NaN.
-        at_once: may be stamped a little later. Returns the messages, and by failed channel why
-        there is none.
+        at_once: may be stamped a little later. The messages of a late driver keep their stamps,
+        for which recall has the estimates. Returns the messages, and by failed channel why there
+        is none.
         """
         made: list[Composition] = []
         troubles: dict[str, Reason] = {}
@@ -249,6 +313,10 @@ class Stream:
             stopped = [name for name in names if wanted[name].value is None]
             if len(stopped) == len(names) and not any(
                     self.fresh(name) for name in sender.channels if name not in names):
+                sender.waiting.clear()
+                continue
+            if sender.late:
+                made += self._of_late(sender, time, wanted, recall)
                 continue
             composed = self._compose(sender, time, wanted, at_once)
             if isinstance(composed, Composition):
@@ -266,10 +334,11 @@ class Stream:
 
     def sent(self, composition: Composition) -> None:
         """Note that a composed message went out."""
+        names = [self.names[i] for i, _ in composition.fields]
         for sender in self.senders.all:
             if sender.number == composition.sender:
-                sender.last_sent, sender.composed = composition.stamp, True
-        self.trouble([self.names[i] for i, _ in composition.fields], None)
+                sender.sent(names, composition.stamp, self._clock.now)
+        self.trouble(names, None)
 
     def _compose(self, sender: Sender, time: int, wanted: Mapping[str, Wanted],
                  at_once: bool) -> Composition | Reason | None:
@@ -278,20 +347,51 @@ class Stream:
         if sender.template is None and self.plan.stamped:
             return NEVER_SEEN
         stamp = sender.stamp_for(time, at_once)
-        if not sender.in_order(stamp, time, self._longest, self._step_back):
-            assert sender.blocked is not None
-            return NOT_NEWER if now - sender.blocked > self._longest else None
-        if sender.apart and not sender.composed:
-            self._say('error', Reason.of('clock of its own', topic=self.plan.source,
-                                         seconds=sender.offset * 1e-9))
+        if stamp <= sender.newest:
+            self._withhold(sender.channels)
+            if sender.held_up is None:
+                sender.held_up = now
+            return NOT_NEWER if now - sender.held_up > self._longest else None
+        sender.held_up = None
+        return self._composition(sender, sender.template, stamp, time, time, wanted)
+
+    def _of_late(self, sender: Sender, tick: int, wanted: Mapping[str, Wanted],
+                 recall: Recall) -> list[Composition]:
+        """
+        Return the messages of a late driver that came since the last tick, with their stamps.
+
+        When it has stopped: its last one, for the time that its messages would be of now.
+        """
+        made, newest = [], sender.newest
+        while sender.waiting:
+            token, stamp, values = sender.waiting.popleft()
+            if stamp > newest:
+                newest = stamp
+                made.append(self._composition(
+                    sender, token, stamp, stamp, tick, _recalled(wanted, stamp, recall),
+                    {name: value for name, value in zip(self.names, values)
+                     if isinstance(value, float)}))
+            else:
+                self._withhold(sender.channels)
+        stamp = tick - sender.lag
+        if not made and stamp > newest and sender.has_stopped(self._clock.now):
+            made.append(self._composition(sender, sender.template, stamp, stamp, tick,
+                                          _recalled(wanted, stamp, recall)))
+        return made
+
+    def _composition(self, sender: Sender, template: Token | None, stamp: int, time: int,
+                     tick: int, wanted: Mapping[str, Wanted],
+                     said: Mapping[str, float] = MappingProxyType({})) -> Composition:
+        """Return a message; said: by channel what a late one says itself."""
         return Composition(
-            self.index, sender.number, sender.template, sender.first, self._silent(sender), stamp,
-            time, tuple((i, self._field(channel, wanted.get(channel.name), time))
+            self.index, sender.number, template, sender.first, self._silent(sender), stamp,
+            time, tuple((i, self._field(channel, wanted.get(channel.name), tick,
+                                        said.get(channel.name)))
                         for i, channel in enumerate(self.channels)
                         if channel.name in sender.channels))
 
-    def _field(self, channel: Channel, wanted: Wanted | None,
-               time: int) -> Substitute | float | None:
+    def _field(self, channel: Channel, wanted: Wanted | None, time: int,
+               said: float | None) -> Substitute | float | None:
         """Return what is to be written for a channel, failed or live; see Composition."""
         lasting = self._clock.lasting(time)
         if wanted is not None:
@@ -303,10 +403,22 @@ class Stream:
                               wanted.grade, offset)
         if not self.fresh(channel.name):
             return None
-        value = self._latest[channel.name]
+        value = self._latest[channel.name] if said is None else said
         if math.isfinite(value) and channel.name not in self.passing:
             value = channel.serve(REAL, (), value, self._clock.lasting())
         return value
+
+
+def _recalled(wanted: Mapping[str, Wanted], time: int, recall: Recall) -> dict[str, Wanted]:
+    """Return what is to go out as it was at an earlier time; NaN where that is not known."""
+    found = {}
+    for name, now in wanted.items():
+        found[name] = now
+        if now.fault_set is not None:
+            then = recall(now.fault_set, name, time)
+            found[name] = Wanted(math.nan) if then is None else now._replace(
+                value=then[0], deviation=then[1], interval=then[2])
+    return found
 
 
 def is_absent(value: float | Reason) -> bool:

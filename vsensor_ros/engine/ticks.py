@@ -20,7 +20,8 @@ class Ticks:
 
     While all sensors are healthy nobody needs an estimate. Then the bank stays behind: steps cost
     less together than one by one, and none has to be redone with a reading that comes late. It
-    catches up before it is asked.
+    catches up before it is asked. While only late drivers are spoken for, it stays behind by as
+    much as they do: then it reads what they have said by that time, too.
     """
 
     def __init__(self, bank: Bank, clock: Clock) -> None:
@@ -71,23 +72,34 @@ class Ticks:
         """Return when what a tick has to say is due, so that estimates come at even distances."""
         return 0 if self._clock.simulated else tick + self._slack
 
-    def advance(self, at: int, idle: bool) -> None:
-        """Bring the bank to a tick; idle: nobody needs it yet."""
+    def advance(self, at: int, lag: int | None) -> None:
+        """Bring the bank to a tick, less the lag of those who ask for it; None: nobody does."""
         self._last = at
-        if idle:
-            self._behind += self._period
-            if self._behind > TOGETHER * self._period or self._bank.time is None:
-                self._behind = self._period
-                self._bank.advance(at - self._period)
-        else:
-            self._behind = 0
-            self._bank.advance(at)
+        if lag is not None:
+            self._bring(at, lag)
+            return
+        self._behind += self._period
+        if self._behind > TOGETHER * self._period or self._bank.time is None:
+            self._behind = self._period
+            self._bank.advance(at - self._period)
 
-    def catch_up(self) -> None:
-        """Bring the bank to the last tick."""
-        if self._behind:
-            at, self._behind = self.time, 0
-            self._bank.advance(at)
+    def catch_up(self, lag: int) -> None:
+        """Bring the bank to the last tick, less the lag of those who ask for it."""
+        if self._behind != self._wait(lag):
+            self._bring(self.time, lag)
+
+    def _wait(self, lag: int) -> int:
+        """Return for how long the bank waits: what is said with this lag lies before its state."""
+        steps = min(lag, self._clock.max_jump // 2) // self._period - 1
+        return max(0, steps) * self._period
+
+    def _bring(self, at: int, lag: int) -> None:
+        self._behind = self._wait(lag)
+        to, time = at - self._behind, self._bank.time
+        if time is None or time <= to:
+            self._bank.advance(to)
+        else:
+            self._behind = at - self._bank.step_back(to)
 
     def restart(self) -> None:
         """Begin anew after the clock jumped."""

@@ -13,7 +13,7 @@ import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node.known import GENERAL, OVERRIDES, Refused
-from vsensor_ros.node.parameter_file import check_files, PARAMETERS
+from vsensor_ros.node.parameter_file import check_files, fits, PARAMETERS
 
 Group = tuple[str, dict[str, Any]]  # for which nodes, and the parameters by dotted name
 
@@ -78,13 +78,13 @@ def read_parameters(path: Path, ros_args: Sequence[str] = ()) -> Parameters:
         raise BadInput(path, 'parameter file', f'cannot be read: {error}', 'give numbers, '
                        'texts, true and false') from None
     name, namespace, rest = _identity(ros_args)
-    if name or namespace or any(_fits(n, '/replacer') and _has_sensors(p)
+    if name or namespace or any(fits(n, '/replacer') and _has_sensors(p)
                                 for n, p in groups.items()):
         node = f'/{(namespace or "").strip("/")}/{name or "replacer"}'.replace('//', '/')
     else:
         node = next((n for n, p in groups.items() if '*' not in n and _has_sensors(p)),
                     '/replacer')
-    fitting = [n for n in groups if _fits(n, node)]
+    fitting = [n for n in groups if fits(n, node)]
     given = {key: value for n in fitting for key, value in groups[n].items()}
     if not _has_sensors(given):
         raise BadInput(path, node, 'is told of no sensors', 'give replacer: ros__parameters: '
@@ -121,13 +121,6 @@ def _leaves(tree: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, Any
             yield from _leaves(value, f'{place}{key}.')
         else:
             yield f'{place}{key}', value
-
-
-def _fits(pattern: str, node: str) -> bool:
-    """Tell whether a node's name fits one in a parameter file: * is a part of it, ** any."""
-    parts = [r'(/[^/]+)*' if part == '**' else r'/[^/]+' if part == '*' else f'/{re.escape(part)}'
-             for part in pattern.strip('/').split('/')]
-    return re.fullmatch(''.join(parts), node) is not None
 
 
 def _has_sensors(parameters: Mapping[str, Any]) -> bool:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import re
+import math
 from typing import Any
 
-import numpy as np
+from rclpy.exceptions import NameValidationException
+from rclpy.expand_topic_name import expand_topic_name
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.parameter_file import Parameters
-from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
+from vsensor_ros.node.accessor import Accessor, compile_accessor
+from vsensor_ros.node.field_path import message_type
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,15 @@ class Wiring:
 def wiring_of(parameters: Parameters) -> Wiring:
     """Find the topics in a replacer's parameters; raise BadInput."""
     where, given = str(parameters.path), parameters.given
+    namespace, _, node = parameters.node.rpartition('/')
+
+    def resolve(topic: str, key: str) -> str:
+        try:
+            return str(expand_topic_name(topic, node, namespace or '/'))
+        except (ValueError, NameValidationException):
+            raise BadInput(where, key, f'{topic!r:.80} is not a topic name',
+                           'write it like /tank/level2') from None
+
     try:
         ports = {}
         names = (key.rpartition('.')[0] for key in given
@@ -43,15 +54,16 @@ def wiring_of(parameters: Parameters) -> Wiring:
         for place in dict.fromkeys(names):
             group, _, name = place.partition('.')
             kind = message_type(given[f'{place}.type'], where, f'{place}.type')
-            topic = source = given[f'{place}.topic']
+            topic = source = resolve(given[f'{place}.topic'], f'{place}.topic')
             if group == 'sensors':
-                source = given.get(f'{place}.input') or f'{topic}_raw'
+                source = resolve(given.get(f'{place}.input') or f'{topic}_raw',
+                                 f'{place}.input')
             ports[name] = Port(name, source, topic, kind, compile_accessor(
                 kind, given[f'{place}.field'], where, f'{place}.field'))
     except (KeyError, TypeError, AttributeError) as error:
         raise BadInput(where, '', f'lacks {error}'[:100], 'give replacer: ros__parameters: with '
                        'topic, type and field of each sensor and command') from None
-    return Wiring(ports, parameters.general('isolation.topic'),
+    return Wiring(ports, resolve(parameters.general('isolation.topic'), 'isolation.topic'),
                   message_type(parameters.general('isolation.type'), where, 'isolation.type'))
 
 
@@ -59,20 +71,5 @@ def blank(ports: list[Port]) -> Any:
     """Return a message of the ports' type with a place, NaN at first, for each of its fields."""
     message = ports[0].kind()
     for port in ports:
-        holder = message
-        *path, last = port.field.path.split('.')
-        for step in path:
-            holder = getattr(holder, step)
-        if match := re.fullmatch(r'(\w+)\[(\w+)\]', last):
-            array, element = match.groups()
-            length = int(element) + 1 if element.isdigit() else 0
-            if not element.isdigit():
-                names = next(n for n in ('name', 'joint_names') if hasattr(holder, n))
-                if element not in getattr(holder, names):
-                    getattr(holder, names).append(element)
-                length = len(getattr(holder, names))
-            values = list(getattr(holder, array))
-            setattr(holder, array, values + [np.nan] * (length - len(values)))
-    for port in ports:
-        port.field.put(message, np.nan)
+        port.field.put(message, math.nan)
     return message

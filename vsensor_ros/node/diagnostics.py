@@ -172,6 +172,7 @@ def describe_loop(engine: EngineState, state: str, left_out: int, complaints: Co
     if thrown_away:
         parts.append(f'{thrown_away} messages of isolation thrown away in {WINDOW:g} s, too many '
                      'or too large, so a fault may be missed; find who sends them')
+    parts += [str(command.trouble) for command in engine.commands if command.trouble is not None]
     parts += complaints
     level = DiagnosticStatus.OK if parts == ['active'] else DiagnosticStatus.WARN
     return Report(LOOP, level, '; '.join(parts), '', state)

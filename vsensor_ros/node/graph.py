@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 
 from vsensor_ros.node.parameters import Settings
+from vsensor_ros.node.qos import mends
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _split(node: Node, endpoints: Iterable[Any]) -> tuple[list[Any], list[Any]]:
     return ours, others
 
 
-def _mismatch(end: End, other: Any, pairs: Iterable[tuple[Any, Any]]) -> Iterator[Complaint]:
+def _mismatch(end: End, other: Any, pairs: Sequence[tuple[Any, Any]]) -> Iterator[Complaint]:
     """Compare with one endpoint, given as (publisher, subscription) with each of ours."""
     if other.topic_type != end.type:
         yield Complaint(end.topic, f'{_who(other)} uses the type {other.topic_type}, this node '
@@ -132,9 +133,14 @@ def _mismatch(end: End, other: Any, pairs: Iterable[tuple[Any, Any]]) -> Iterato
               for publisher, subscription in pairs]
     if checks and all(compatible == QoSCompatibility.ERROR for compatible, _ in checks):
         reason = checks[0][1]
+        ours = 'publisher' if end.speaks else 'subscription'
+        mend = min(filter(None, (mends(publisher.qos_profile, subscription.qos_profile, end.topic,
+                                       ours) for publisher, subscription in pairs)),
+                   key=len, default=[])
         yield Complaint(end.topic, f'the QoS of {_who(other)} does not match that of this '
                         f'node ({reason.strip().rstrip(";")}); nothing passes between them, '
-                        f'change it there, or here with qos_overrides.{end.topic}')
+                        'change it there' + (f', or here with {" and ".join(mend)}' if mend
+                                             else ''))
 
 
 def publishers(node: Node, topics: Iterable[str]) -> dict[str, tuple[str, ...]]:

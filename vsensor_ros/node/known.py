@@ -15,8 +15,11 @@ from vsensor_ros.observers import Design
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 RECOVERY = ('automatic', 'hold', 'latched')
 SILENT = ('wait', 'replace')
+AT_END = ('hold', 'invalid')
+REFUSE, USE = DISOWNED = ('refuse', 'use')
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 TEXT = 'std_msgs/msg/String'
+UNITS: Mapping[str, int] = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}  # of a stamp, in ns
 LONGEST_TEXT = 4096  # characters of a value
 
 
@@ -40,25 +43,30 @@ class Known:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     live: bool = False  # may change while the node runs
-    general: str = ''  # the parameter for all sensors that this one overrides
+    general: str = ''  # the parameter for all of its kind that this one overrides
+    or_none: bool = False  # 0 stands for none, though it is below `low`
+    words: tuple[str, ...] = ()  # that may stand in place of a number
 
     def check(self, value: Any, where: object, name: str) -> Any:
         """Return the value in its type; raise BadInput when it cannot be used."""
-        if self.general and value == '':
+        if value == '' and (self.general or self.words) or value in self.words:
             return value
+        if self.words and isinstance(value, str):
+            value = _number(value)
         if self.type is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)  # `rate: 100` is as good as 100.0
         give = f'give the {self.description}' + (
-            ", or '' for that of all sensors" if self.general else '')
+            f", or '' for that of all {name.partition('.')[0]}" if self.general else '')
         if self.type is list:
             return _texts(value, where, name, give)
         if value is None:
             raise BadInput(where, name, 'is missing', give)
         if not isinstance(value, self.type) or (self.type is int and isinstance(value, bool)):
             raise BadInput(where, name, f'{value!r:.80} is not {_TYPES[self.type]}', give)
-        if isinstance(value, (float, int)) and not self.low <= value <= self.high:
-            raise BadInput(where, name, f'{value:g} is out of range',
-                           f'choose from {self.low:g} to {self.high:g}')
+        if isinstance(value, (float, int)) and not self.low <= value <= self.high and not (
+                self.or_none and value == 0):
+            raise BadInput(where, name, f'{_plain(value)} is out of range',
+                           f'choose from {self.limits()}')
         if self.choices and value not in self.choices:
             raise BadInput(where, name, f'{shown(value, 80)} is not a choice',
                            f'choose from {", ".join(self.choices)}')
@@ -69,21 +77,28 @@ class Known:
                            f'at most {LONGEST_TEXT} are read')
         return value
 
+    def limits(self) -> str:
+        """Return in words what a number may be."""
+        words = f'{_plain(self.low)} to {_plain(self.high)}'
+        return f'{words}; 0 for none' if self.or_none else words
+
     def descriptor(self) -> ParameterDescriptor:
         """Describe the parameter to the tools of ROS."""
         unit = f' [{self.unit}]' if self.unit else ''
         rules = [f'one of {", ".join(self.choices)}'] if self.choices else []
         rules += [f"'' for {self.general}"] if self.general else []
+        rules += [f'or one of {", ".join(self.words)}'] if self.words else []
         descriptor = ParameterDescriptor(
             description=f'{self.description}{unit}', read_only=not self.live,
             additional_constraints='; '.join(rules),
-            dynamic_typing=bool(self.general) and self.type is not str)
+            dynamic_typing=bool(self.general or self.words) and self.type is not str)
         if self.type is float:
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=self.low, to_value=self.high)]
         if self.type is int:
             descriptor.integer_range = [
-                IntegerRange(from_value=int(self.low), to_value=int(self.high))]
+                IntegerRange(from_value=0 if self.or_none else int(self.low),
+                             to_value=int(self.high))]
         return descriptor
 
 
@@ -95,17 +110,29 @@ def _texts(value: Any, where: object, name: str, give: str) -> list[str]:
     return list(texts) or ['']  # an empty list has no type in ROS
 
 
+def _plain(value: float) -> str:
+    return str(value) if isinstance(value, int) else f'{value:g}'
+
+
+def _number(text: str) -> float | str:
+    """Return the number that a text is, or the text."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 _TYPES = {str: 'a text', float: 'a number', int: 'a whole number', bool: 'true or false'}
 
 GENERAL: Mapping[str, Known] = {
     'design_file': Known(str, None, 'design file, written by the designer'),
     'rate': Known(float, 100.0, 'rate of the virtual sensors', 'Hz', 0.001, 1000.0),
     'autostart': Known(bool, True, 'configure and activate without a lifecycle manager'),
-    'max_age': Known(float, 0.5, 'age from which a reading is silence; at least three periods '
-                     'count', 's', 0.001, 86400.0),
+    'max_age': Known(float, 0.5, 'age from which a reading is silence, and a command that came '
+                     'periodically has ended; at least three periods count', 's', 0.001, 86400.0),
     'max_jump': Known(float, 1.0, 'jump of the clock ahead from which the virtual sensors start '
                       'anew; at least ten periods count', 's', 0.001, 86400.0),
-    'isolation.topic': Known(str, '/isolation', 'topic that says which sensors are faulty'),
+    'isolation.topic': Known(str, 'isolation', 'topic that says which sensors are faulty'),
     'isolation.type': Known(str, DIAGNOSTICS, 'message type of the isolation topic',
                             choices=(DIAGNOSTICS, TEXT)),
     'isolation.names': Known(
@@ -153,13 +180,31 @@ def named(design: Design) -> dict[str, Known]:
         known[f'{prefix}.{name}.field'] = Known(str, None, f'field of the message that is {name}')
         known[f'{prefix}.{name}.publisher'] = Known(
             str, '', f'node whose messages alone count for {name}; default: any')
+        known[f'{prefix}.{name}.disowned'] = Known(
+            str, REFUSE, f'what becomes of {name} when its message marks it as not there: refuse '
+            '(it is no reading), use (its driver does not mean the mark)', choices=DISOWNED)
+        known[f'{prefix}.{name}.stamp'] = Known(
+            str, '', f'fields with the time of the message, beside its header; the first is the '
+            f'time of {name} when there is no header')
+        known[f'{prefix}.{name}.stamp_unit'] = Known(
+            str, '', 'unit of those fields that are numbers: s, ms, us or ns')
         if prefix == 'commands':
+            known[f'commands.{name}.max_age'] = _override(name, 'max_age')
+            known[f'commands.{name}.at_end'] = Known(
+                float, '', f'value that counts when {name} has not come for its max_age: a '
+                'number, hold (the last one), or invalid (none, so that no estimate that needs it '
+                'is valid); default: invalid if it came periodically, else hold',
+                'of the command', -1e12, 1e12, words=AT_END)
             continue
         known[f'sensors.{name}.input'] = Known(
             str, '', f'topic on which the driver of {name} publishes; default: the topic + _raw')
         for key, general in OVERRIDES.items():
-            entry = GENERAL[general]
-            known[f'sensors.{name}.{key}'] = Known(
-                entry.type, '', f'{general} of {name} alone', entry.unit, entry.low, entry.high,
-                entry.choices, entry.live, general)
+            known[f'sensors.{name}.{key}'] = _override(name, general)
     return known
+
+
+def _override(name: str, general: str) -> Known:
+    """Return what one sensor or command has of its own in place of a general parameter."""
+    entry = GENERAL[general]
+    return Known(entry.type, '', f'{general} of {name} alone', entry.unit, entry.low, entry.high,
+                 entry.choices, entry.live, general)

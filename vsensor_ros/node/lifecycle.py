@@ -29,6 +29,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import Live
 from vsensor_ros.node.loop import run
 from vsensor_ros.node.parameters import (
+    Block,
     check_addressed,
     check_files,
     read,
@@ -43,7 +44,9 @@ from vsensor_ros.node.status import Reporter
 
 PATIENCE = 5.0  # s that the loop may take to come to its end
 IDLE = 0.05  # s between two looks whether there is something to run
+LONGEST = 1.0  # s that the executor waits for something to do
 AGAIN = 60.0  # s between two lines on the same failure of a callback
+MOST_SHOWN = 1000  # characters of what others are given
 SUCCESS, FAILURE, ERROR = (TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE,
                            TransitionCallbackReturn.ERROR)
 
@@ -58,9 +61,11 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, context: Context | None = None,
-                 overrides: Sequence[Parameter] = ()) -> None:
+                 overrides: Sequence[Parameter] = (), blocks: Sequence[Block] = ()) -> None:
+        """Make the node; blocks: where its parameters come from, for those that do not fit."""
         super().__init__('replacer', context=context, parameter_overrides=list(overrides),
                          automatically_declare_parameters_from_overrides=True)
+        self._blocks = blocks
         self.replacer: Replacer | None = None
         self.reporter: Reporter | None = None
         self.refused: Refused | None = None  # why it could not be configured the last time
@@ -127,7 +132,7 @@ class ManagedNode(LifecycleNode):
         if missing := lacking():
             raise Refused([BadInput(self.get_fully_qualified_name(), 'rclpy', f'lacks {part}',
                                     'use the one of ROS 2 Jazzy') for part in missing])
-        settings = read(self)
+        settings = read(self, self._blocks)
         before = self._entities()
         try:
             self.replacer = Replacer(self, settings)
@@ -156,6 +161,9 @@ class ManagedNode(LifecycleNode):
             log.info(f'{s.name}: {s.input} -> {s.output} ({s.type}, {s.accessor.path})')
         for c in settings.commands:
             log.info(f'{c.name}: {c.topic} ({c.type}, {c.accessor.path})')
+        if settings.for_others:
+            log.info(f'not for this node, it seems: {", ".join(settings.for_others)[:MOST_SHOWN]} '
+                     '(given to all nodes)')
         log.info(f'isolation: {settings.isolation_topic} ({settings.isolation_type})')
         log.info(f'{len(settings.design.virtual_sensors)} virtual sensors of '
                  f'{settings.design.plant_name} at {settings.rate:g} Hz; without an estimate: '
@@ -214,17 +222,19 @@ class ManagedNode(LifecycleNode):
 
 
 def spin(executor: SingleThreadedExecutor, node: ManagedNode, ending: Event) -> None:
-    """Serve callbacks until the executor is shut down; what one raises ends only that one."""
+    """
+    Serve callbacks until it is ending; what one raises ends only that one.
+
+    No wait is without a bound, and the executor is shut down only when this has returned: rclpy
+    destroys with it what would wake it, and who is about to wait then would never be woken.
+    """
     last, at = '', 0.0
-    while True:
+    while not ending.is_set():
         try:
-            executor.spin()
-            return
+            executor.spin_once(LONGEST)
         except ExternalShutdownException:
             return
         except Exception:
-            if ending.is_set():
-                return  # an executor that is shut down in the wrong moment trips over itself
             text = traceback.format_exc()
             if text != last or time.monotonic() > at + AGAIN:
                 node.get_logger().error(text)
@@ -240,16 +250,16 @@ def start(arguments: Sequence[str], stop: Event) -> int:
     is one line on stderr for each problem. 1 when it failed to start for another reason.
     """
     try:
-        addressed = check_files(arguments)
+        blocks = check_files(arguments)
         place, mend = 'arguments', 'correct the arguments after --ros-args'
         try:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
             place, mend = 'node', 'correct its name, its parameters or its security files'
-            node = ManagedNode()
+            node = ManagedNode(blocks=blocks)
         except (RuntimeError, ValueError) as error:  # what rcl raises, and rclpy for []
             raise Refused([BadInput(
                 'replacer', place, str(error).partition(', at /')[0], mend)]) from None
-        check_addressed(node, addressed)
+        check_addressed(node, blocks)
         return run_node(node, stop)
     except Refused as refused:
         print(refused, file=sys.stderr)
@@ -276,8 +286,9 @@ def run_node(node: ManagedNode, stop: Event) -> int:
         node.serve(stop)
     finally:
         ending.set()
-        executor.shutdown()
+        executor.wake()
         thread.join()
+        executor.shutdown()
         if not node.ended:
             node.trigger_shutdown()
         node.destroy_node()

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +19,30 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank import End
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.engine.isolation_names import Names, Wrong
 from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
 from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
-from vsensor_ros.node.parameter_file import check_addressed, check_files, ROS_OWN
+from vsensor_ros.node.parameter_file import (
+    Block,
+    check_addressed,
+    check_files,
+    for_others,
+    ROS_OWN,
+    source_of,
+)
 from vsensor_ros.node.qos import QOS, qos_parameters
 from vsensor_ros.observers import Design
+from vsensor_ros.text_file import looked_in
 
-__all__ = ['DIAGNOSTICS', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
+__all__ = ['DIAGNOSTICS', 'Block', 'Command', 'Refused', 'Sensor', 'Settings', 'check_addressed',
            'check_files', 'read', 'watch']
 
 LONGEST_NAME = 100  # characters of a sensor's name, which services have in theirs
 LARGEST_NUMBER = 1000  # of sensors and commands: each is a topic or two, and a dozen parameters
 MOST_LISTED = 10  # of what can be wrong without end: names that there are not, and answers
+LEAVE_OUT = 'leave it out'
 JUMP = 10  # periods that a clock may jump ahead at least
 
 
@@ -50,13 +61,16 @@ class Settings:
     sensors: tuple[Sensor, ...]  # in the design's order
     commands: tuple[Command, ...]
     live: Live
+    command_ends: Mapping[str, End]  # of those that do not hold for ever
+    for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
-def read(node: Node) -> Settings:
+def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
     """
     Check the node's parameters and load the design; the node stays as it is.
 
-    The node must declare parameters from its overrides by itself. Raises Refused.
+    The node must declare parameters from its overrides by itself. blocks: where these come from;
+    of what is given otherwise, none may be unknown. Raises Refused.
     """
     where = node.get_fully_qualified_name()
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
@@ -70,7 +84,8 @@ def read(node: Node) -> Settings:
     values = _check(known, given, where, problems)
     design = None
     try:
-        design = _load(values['design_file']) if 'design_file' in values else None
+        if 'design_file' in values:
+            design = _load(_find(values['design_file'], source_of('design_file', blocks, where)))
     except BadInput as problem:
         problems.append(problem)
     if design is not None:
@@ -79,13 +94,18 @@ def read(node: Node) -> Settings:
         known.update(named(design))
     names = _names(design, values, where, problems)
     endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
+    others: list[str] = []
     if design is not None:
         quality = qos_parameters(endpoints.ends(node))
         known.update(quality)
         _check({name: quality[name] for name in given if name in quality}, given, where, problems)
+        unknown = [name for name in given if name not in known]
+        others = for_others(unknown, blocks, where, {'design_file', *named(design)})
         problems.extend(_unknown(  # nor is a quality judged while topics are not known
-            [name for name in given if name not in known
-             and not (problems and name.startswith(f'{QOS}.'))], known, where))
+            [name for name in unknown if name not in others
+             and not (problems and name.startswith(f'{QOS}.'))], known, where,
+            f'leave it out; if it is for others, write {where}: above what is for this node'
+            if any(block.for_all for block in blocks) else LEAVE_OUT))
     if problems:
         raise Refused(problems)
     assert design is not None and endpoints.isolation is not None and names is not None
@@ -93,7 +113,7 @@ def read(node: Node) -> Settings:
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
-        endpoints.commands, _live(design, values))
+        endpoints.commands, _live(design, values), _command_ends(design, values), tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -162,6 +182,20 @@ def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Call
     return unwatch
 
 
+def _find(given: str, beside: str) -> str:
+    """
+    Return the path of the design file; raise BadInput where another was meant.
+
+    Relative paths begin in the working directory. beside: the parameter file that gives it, or ''.
+    """
+    path = os.path.expanduser(given)
+    there = os.path.join(os.path.dirname(os.path.abspath(beside)), path) if beside else path
+    if not os.path.exists(path) and os.path.exists(there):
+        raise BadInput(given, 'design file', f'lies beside {beside}{looked_in(path)}',
+                       f'write design_file: {there}')
+    return path
+
+
 def _load(path: str) -> Design:
     if Path(path).exists() and not Path(path).is_file():  # reading a pipe would never end
         raise BadInput(path, 'design file', 'is not a regular file',
@@ -190,12 +224,13 @@ def _check(known: Mapping[str, Known], given: Mapping[str, Any], where: str,
     return values
 
 
-def _unknown(names: Sequence[str], known: Iterable[str], where: str) -> list[BadInput]:
+def _unknown(names: Sequence[str], known: Iterable[str], where: str,
+             mend: str = LEAVE_OUT) -> list[BadInput]:
     problems = []
     for name in names[:MOST_LISTED]:  # looking for one that is like it takes its time
         near = difflib.get_close_matches(name[:LONGEST_NAME], known, 1)
         problems.append(BadInput(where, name, 'there is no such parameter',
-                                 f'did you mean {near[0]}?' if near else 'leave it out'))
+                                 f'did you mean {near[0]}?' if near else mend))
     if len(names) > MOST_LISTED:
         problems.append(BadInput(where, '', f'and {len(names) - MOST_LISTED} more parameters '
                                  'that there are not', 'leave them out'))
@@ -218,6 +253,18 @@ def _own(values: Mapping[str, Any], sensor: str, key: str) -> Any:
     """Return what counts for one sensor: its own value, else the general one."""
     value = values[f'sensors.{sensor}.{key}']
     return values[OVERRIDES[key]] if value == '' else value
+
+
+def _command_ends(design: Design, values: Mapping[str, Any]) -> dict[str, End]:
+    """Return what becomes of each command that comes no more; those that hold are left out."""
+    ends = {}
+    for name in design.inputs:
+        age, at_end = values[f'commands.{name}.max_age'], values[f'commands.{name}.at_end']
+        if at_end != 'hold':
+            ends[name] = End(values['max_age'] if age == '' else age,
+                             at_end if isinstance(at_end, float) else None,
+                             only_periodic=age == '' and at_end == '')
+    return ends
 
 
 def _live(design: Design, values: Mapping[str, Any]) -> Live:

@@ -17,6 +17,7 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import _declare_qos_parameters
 from rclpy.subscription import Subscription
 
 PARTS = {  # (class, attribute): what it is needed for
@@ -130,6 +131,11 @@ def sender(publisher: Publisher) -> Callable[[bytes], None]:
 def key_of(subscription: Subscription) -> int:
     """Return by what `Waiting.wait` names a subscription."""
     return int(subscription.handle.pointer)
+
+
+def override_qos(end: Any, node: Any, topic: str, qos: Any, options: Any) -> None:
+    """Write into a profile what parameters say of an end (a class) that is not opened."""
+    _declare_qos_parameters(end, node, topic, qos, options)
 
 
 def end_state_machine(node: LifecycleNode) -> None:

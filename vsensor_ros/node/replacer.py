@@ -94,7 +94,8 @@ class Replacer:
                 take_readings, topic, inlet, self.engine, self.log)))
         for command in settings.commands:
             subscription = subscribe(node, group, command.kind, command.topic, LISTEN)
-            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor.path]),
+            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor],
+                                                      command.stamps),
                                 [command])
             takers.append((subscription, partial(take_commands, command, inlet, self.engine)))
         self.readers = {inlet.topic: inlet.reader for inlet in self.inlets}
@@ -115,7 +116,8 @@ class Replacer:
         try:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
-                tuple(topic.plan for topic in topics), self.simulated, settings.live))
+                tuple(topic.plan for topic in topics), self.simulated, settings.live,
+                settings.command_ends))
         except BadInput as error:
             raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
                                     error.problem, error.mend)]) from None
@@ -253,16 +255,17 @@ class Replacer:
 
     def _send(self, made: Sequence[Composition]) -> None:
         """Publish messages, and tell the engine how that went."""
-        estimates = []
+        estimates: dict[int, list[tuple[str, Substitute]]] = {}  # by time
         for composition in made:
             topic = self.topics[composition.stream]
             trouble = self._publish(topic, composition)
             self.engine.done(composition, trouble)
             if trouble is None:
-                estimates += [(topic.sensors[i].name, said) for i, said in composition.fields
-                              if isinstance(said, Substitute) and said.fault_set is not None]
-        if estimates:
-            self.estimates.send(made[0].time, estimates)
+                estimates.setdefault(composition.time, []).extend(
+                    (topic.sensors[i].name, said) for i, said in composition.fields
+                    if isinstance(said, Substitute) and said.fault_set is not None)
+        for at, those in estimates.items():
+            self.estimates.send(at, those)
 
     def _publish(self, topic: Topic, composition: Composition) -> Reason | None:
         """Publish a message that the engine composed; return why it did not go out, or None."""

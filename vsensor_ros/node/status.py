@@ -39,6 +39,7 @@ from vsensor_ros.node.graph import (
     silent_isolation,
 )
 from vsensor_ros.node.pace import Health
+from vsensor_ros.node.parameters import DIAGNOSTICS
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
@@ -83,7 +84,9 @@ class Reporter:
     def __init__(self, node: Node, replacer: Replacer) -> None:
         self.node, self.replacer = node, replacer
         self.active = False
-        self.ends = ends_of(replacer.settings)
+        # what it says of itself is its own: two of one name would be taken for one
+        self.ends = (*ends_of(replacer.settings),
+                     End(node.resolve_topic_name(STATUS), DIAGNOSTICS, True))
         self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
         settings = replacer.settings
         self._isolation = End(settings.isolation_topic, settings.isolation_type, False)
@@ -163,7 +166,8 @@ class Reporter:
                              [*self._about(None), *unknown],
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
-        prefix = f'{self.node.get_name()}: '  # keeps our names off the isolation's
+        # keeps our names off the isolation's, and those of two robots apart
+        prefix = f'{self.node.get_fully_qualified_name().lstrip("/")}: '
         told = list(zip(channels, reports))
         pace = _loop_facts(engine, health, state)
         self.status.publish(encode(
@@ -314,4 +318,17 @@ def _loop_facts(engine: EngineState, health: Health, state: str) -> Mapping[str,
         'faulty': ' '.join(engine.faulty),
         'spoken_of': ' '.join(engine.spoken_of),
         **{f'clock_{way.replace(" ", "_")}': count for way, count in engine.jumps.items()},
+        **_command_facts(engine),
     }
+
+
+def _command_facts(engine: EngineState) -> Mapping[str, object]:
+    """Return how each command is, for programs."""
+    facts: dict[str, object] = {}
+    for command in engine.commands:
+        key = f'command_{command.name}'
+        facts[key] = command.trouble or command.lack or 'OK'
+        facts[f'{key}_lead'] = number(command.lead)
+        facts[f'{key}_from_arrival'] = command.from_arrival
+        facts[f'{key}_not_used'] = sum(command.counts.values())
+    return facts

@@ -11,8 +11,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from vsensor_ros.bad_input import BadInput, check_text, reason
+from vsensor_ros.bad_input import BadInput, check_text
 from vsensor_ros.functions.expression import check_name
+from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 64 * 2**20
 LARGEST_SIDE = 10_000  # rows or columns of one matrix; keeps a forged file from eating the memory
@@ -38,19 +39,9 @@ def read_json(path: str | Path) -> Any:
             raise BadInput(path, twice, 'stands there twice', MEND)
         return record
 
+    text = read_text(path, 'design file', 'name a file that the designer wrote', LARGEST_FILE)
     try:
-        with open(path, 'rb') as file:
-            data = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        raise BadInput(path, 'design file', f'cannot be read ({reason(error)})',
-                       'name a file that the designer wrote') from error
-    if len(data) > LARGEST_FILE:
-        raise BadInput(path, 'design file', f'is larger than {LARGEST_FILE // 2**20} MiB', MEND)
-    try:
-        return json.loads(data.decode('utf-8'), parse_constant=no_constant,
-                          object_pairs_hook=no_repeat)
-    except UnicodeDecodeError as error:
-        raise BadInput(path, 'design file', 'is not a text file', MEND) from error
+        return json.loads(text, parse_constant=no_constant, object_pairs_hook=no_repeat)
     except json.JSONDecodeError as error:
         raise BadInput(path, f'line {error.lineno}', f'is not JSON ({error.msg})',
                        MEND) from error

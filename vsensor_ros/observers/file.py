@@ -19,6 +19,7 @@ from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry, Key, Refusal
 from vsensor_ros.observers.kinds import kind_named, kind_names
+from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
 
 FORMAT = 'vsensor_ros design'
@@ -40,7 +41,8 @@ def write(design: Contents, path: str | Path) -> None:
     try:
         write_whole(path, text)
     except (OSError, ValueError) as error:
-        raise BadInput(path, 'design file', f'cannot be written ({reason(error)})',
+        raise BadInput(path, 'design file',
+                       f'cannot be written ({reason(error)}){looked_in(path)}',
                        'name a file in a folder that exists and is writable') from error
 
 

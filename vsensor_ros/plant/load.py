@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 import numpy as np
 import yaml
 
-from vsensor_ros.bad_input import BadInput, check_text, reason, shown
+from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.expression import (
     check_name,
     fold,
@@ -33,6 +33,7 @@ from vsensor_ros.functions.expression import (
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
 from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
+from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes
 LARGEST_SECTION = 1000   # states, inputs, ...; keeps a forged file from eating the memory
@@ -73,27 +74,16 @@ _Loader.add_constructor('tag:yaml.org,2002:bool', _Loader.refuse_bool)
 
 
 def _read(path: str | Path) -> Any:
+    text = read_text(path, '', 'name a plant file (YAML)', LARGEST_FILE)
     try:
-        with open(path, 'rb') as file:
-            data = file.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        raise BadInput(path, '', f'cannot be read ({reason(error)})',
-                       'name a plant file') from None
-    if len(data) > LARGEST_FILE:
-        raise BadInput(path, '', 'is larger than 1 MiB', 'name a plant file')
-    try:
-        loader = _Loader(data.decode('utf-8-sig'))
+        loader = _Loader(text)
         loader.where = path
         return loader.get_single_data()
-    except UnicodeDecodeError:
-        raise BadInput(path, '', 'is not a text file', 'name a plant file (YAML)') from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise BadInput(path, f'line {mark.line + 1}' if mark else '',
                        f'is not YAML ({error.problem or error.context})',
                        'correct the line or the one before it') from None
-    except yaml.YAMLError:
-        raise BadInput(path, '', 'is not a text file', 'name a plant file (YAML)') from None
     except BadInput:
         raise
     except (RecursionError, ValueError, OverflowError, TypeError, KeyError) as error:

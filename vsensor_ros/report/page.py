@@ -22,6 +22,7 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.report import design_text, report_simulation
 from vsensor_ros.report.picture import need_matplotlib, picture
+from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
 
 MOST_PICTURES = 12
@@ -92,7 +93,7 @@ def write_report(path: str | Path, plant: Plant, design: Design,
             target = target / 'index.html'
         write_whole(target, text)
     except (OSError, ValueError) as error:
-        raise BadInput(path, 'report', f'cannot be written ({reason(error)})',
+        raise BadInput(path, 'report', f'cannot be written ({reason(error)}){looked_in(path)}',
                        'name a place that is writable; the design file is complete') from error
     return target
 

@@ -12,6 +12,9 @@ import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import Node, parse
+from vsensor_ros.text_file import read_text
+
+LARGEST_FILE = 2**20  # bytes
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,10 @@ class Section:
     @classmethod
     def of(cls, path: Path) -> Section:
         """Read a file; raise BadInput."""
+        text = read_text(path, '', 'give a demo.yaml', LARGEST_FILE)
         try:
-            content = yaml.safe_load(path.read_text(encoding='utf-8'))
-        except OSError as error:
-            raise BadInput(path, '', error.strerror or str(error), 'give a demo.yaml') from None
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            content = yaml.safe_load(text)
+        except yaml.YAMLError as error:
             raise BadInput(path, '', f'is not YAML: {error}'[:200], 'mend it') from None
         return cls(str(path), '', {}).inner('', content)
 

@@ -1,12 +1,16 @@
 """A recording as a CSV file: a row a time, an empty cell where nothing was sent."""
 
 import csv
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.simulate.fault import Recorded
+from vsensor_ros.text_file import read_text
+
+LARGEST_FILE = 2**30  # bytes
 
 
 def write_table(path: Path, channels: dict[str, Recorded]) -> None:
@@ -16,7 +20,7 @@ def write_table(path: Path, channels: dict[str, Recorded]) -> None:
     for column, channel in enumerate(channels.values()):
         rows = np.searchsorted(times, channel.time[channel.sent])
         cells[rows, column] = [repr(float(v)) for v in channel.value[channel.sent]]
-    with open(path, 'w', newline='') as file:
+    with open(path, 'w', newline='', encoding='utf-8') as file:
         lines = csv.writer(file, lineterminator='\n')
         lines.writerow(['time', *channels])
         lines.writerows([repr(float(t)), *row] for t, row in zip(times, cells))
@@ -24,13 +28,10 @@ def write_table(path: Path, channels: dict[str, Recorded]) -> None:
 
 def read_table(path: Path) -> dict[str, Recorded]:
     """Return the channels of a table, all on its times; raise BadInput."""
+    text = read_text(path, 'table', 'give a CSV file with a column time', LARGEST_FILE)
     try:
-        with open(path, newline='') as file:
-            header, *rows = [row for row in csv.reader(file) if row]
-    except OSError as error:
-        raise BadInput(str(path), 'table', error.strerror or str(error),
-                       'give a CSV file with a column time') from None
-    except (ValueError, UnicodeDecodeError, csv.Error):
+        header, *rows = [row for row in csv.reader(StringIO(text, newline='')) if row]
+    except (ValueError, csv.Error):
         raise BadInput(str(path), 'table', 'no table in it',
                        'begin with the line time,<channel>,...') from None
     if header[0] != 'time' or len(set(header)) != len(header) or len(header) < 2 or not rows:
