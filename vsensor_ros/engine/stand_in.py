@@ -57,8 +57,9 @@ class StandIn:
         silence = None if stream is None else stream.silence(name)
         if stream is None or silence is None:
             return reason
-        ahead = stream.ahead(name) * 1e-9 if reason.code == 'no reading yet' else \
-            silence * 1e-9 - reason.fact('seconds')
+        ahead = stream.ahead(name) * 1e-9
+        if abs(ahead) < LATE and reason.code == 'input silent':  # nothing of it went out, say
+            ahead = silence * 1e-9 - reason.fact('seconds')
         if not stream.fresh(name):
             return Reason.of('input silent', name=name, seconds=silence * 1e-9)
         if abs(ahead) < LATE:
