@@ -4,10 +4,12 @@ import math
 
 from geometry_msgs.msg import Transform, Twist
 import pytest
+from rclpy.context import Context
+from rclpy.node import Node
 from sensor_msgs.msg import JointState, MultiDOFJointState
 
 from vsensor_ros.node.cdr import decode
-from vsensor_ros.node.parameters import Refused
+from vsensor_ros.node.parameters import read, Refused
 
 JOINTS = 'sensor_msgs/msg/JointState'
 NAMES = ['wrist', 'elbow', 'shoulder']
@@ -178,3 +180,35 @@ def test_one_joint_written_in_two_ways_is_one(rig, joint_parameters):
     with pytest.raises(Refused) as refused:
         rig({**joint_parameters, 'sensors.y1.field': 'position["elbow"]'})
     assert 'is that of y1 too' in str(refused.value)
+
+
+def test_brackets_come_through_a_parameter_file(design_file, tmp_path):
+    """Neither quotes nor # mean anything to the parser of ROS where they stand here."""
+    path = tmp_path / 'replacer.yaml'
+    path.write_text(f"""replacer:
+  ros__parameters:
+    design_file: {design_file}
+    sensors:
+      y1: {{topic: /joints, type: {JOINTS}, field: 'position["1"]'}}
+      y2: {{topic: /joints, type: {JOINTS}, field: "position[#1]"}}
+      y3:
+        topic: /joints
+        type: {JOINTS}
+        field: velocity["1"]   # a comment
+    commands:
+      u1:
+        topic: /u1
+        type: {JOINTS}
+        field: effort[#1]
+""")
+    context = Context()
+    context.init(args=['--ros-args', '--params-file', str(path)])
+    try:
+        node = Node('replacer', context=context,
+                    automatically_declare_parameters_from_overrides=True)
+        settings = read(node)
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+    paths = [s.accessor.path for s in (*settings.sensors, *settings.commands)]
+    assert paths == ['position["1"]', 'position[#1]', 'velocity["1"]', 'effort[#1]']
