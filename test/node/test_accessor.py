@@ -211,6 +211,16 @@ def test_names_one_level_above():
     assert [len(p.accelerations) for p in message.points] == [0, 0]
 
 
+def test_names_of_messages_with_arrays():
+    """As control_msgs/DynamicJointState has them: joints, and the interfaces of each."""
+    states = JointTrajectory(joint_names=['a', 'b'], points=[
+        JointTrajectoryPoint(positions=[1.0]), JointTrajectoryPoint(positions=[2.0])])
+    with pytest.raises(BadInput, match='have no names; give an index'):  # a and b are taken
+        compile_accessor(JointTrajectory, 'points[b].positions[a]')
+    assert compile_accessor(JointTrajectory, 'points[b].positions[0]').get(states) == 2.0
+    assert compile_accessor(JointTrajectory, 'points[0].positions[a]').get(states) == 1.0
+
+
 def test_joints_named_by_numbers():
     message = JointState(name=['2', '1', 'a.b[c]'], position=[2.0, 1.0, 3.0])
     for path, value in (('position["1"]', 1.0), ("position['2']", 2.0), ('position[#1]', 1.0),

@@ -7,6 +7,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, MultiDOFJointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.parameters import read, Refused
@@ -131,6 +132,32 @@ def test_joints_of_several_degrees_of_freedom(rig, parameters):
     assert math.isnan(message.transforms[1].translation.y)
     assert len(message.twist) == 2 and math.isnan(message.twist[0].linear.x)
     assert not message.wrench
+
+
+def test_names_one_level_above_the_arrays(rig, parameters):
+    given = dict(parameters)
+    for name, field in (('y1', 'positions[a]'), ('y2', 'velocities[b]')):
+        given[f'sensors.{name}.topic'] = '/path'
+        given[f'sensors.{name}.type'] = 'trajectory_msgs/msg/JointTrajectory'
+        given[f'sensors.{name}.field'] = f'points[0].{field}'
+
+    def trajectory(velocities):
+        return '/path_raw', JointTrajectory(joint_names=['a', 'b', 'c'], points=[
+            JointTrajectoryPoint(positions=[0.5, 2.0, 3.0], velocities=velocities),
+            JointTrajectoryPoint(positions=[4.0], velocities=[5.0, 6.0, 7.0])])
+
+    r = rig(given)
+    heard = r.listen('trajectory_msgs/msg/JointTrajectory', '/path')
+    r.step(trajectory([0.0, 1.0, 0.0]), r.healthy()[2], periods=5)
+    r.isolate('y2')
+    before = len(heard)
+    r.step(trajectory([]), r.healthy()[2], periods=5)
+    assert r.spin_until(lambda: len(heard) >= before + 5)
+    here, beyond = decode(JointTrajectory, heard[-1]).points
+    assert list(here.positions) == [0.5, 2.0, 3.0] and here.velocities[1] == 1.0
+    assert math.isnan(here.velocities[0]) and len(here.velocities) == 3
+    assert len(beyond.positions) == 3 and list(beyond.velocities) == [5.0, 6.0, 7.0]
+    assert not here.accelerations and not beyond.effort
 
 
 # ---- joints that are named by numbers

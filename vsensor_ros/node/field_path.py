@@ -21,7 +21,7 @@ from ament_index_python.resources import get_resource, get_resources, InvalidRes
 from vsensor_ros.bad_input import BadInput
 
 INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's messages
-NAME_ARRAYS = ('name', 'joint_names')  # fields that give names to the arrays beside them
+NAME_ARRAYS = ('name', 'joint_names', 'interface_names')  # fields that name what is beside them
 LONGEST = 2**16  # elements of an array that a message is made room for; an index lies below
 LARGEST_FLOAT = {'float': 3.4028234663852886e38, 'double': math.inf}
 INTEGER = re.compile(r'(u?)int(8|16|32|64)')
@@ -118,7 +118,8 @@ def trace(kind: Any, path: str, where: str = 'field', key: str = 'field') -> tup
     for field, element in (step.groups() for step in _STEP.finditer(path)):
         above = None
         if steps:
-            above, inner = kind, steps[-1].type.inner
+            above = kind if steps[-1].name is None else None  # names are used once
+            inner = steps[-1].type.inner
             if '/' not in inner:
                 before = steps[-1].field
                 raise BadInput(where, key, f'{before} of {type_name(kind)} is a {inner}, which '
@@ -160,6 +161,8 @@ def _step(kind: Any, above: Any, field: str, element: str | None, where: str, ke
             raise BadInput(where, key, f'the elements of {field} of {type_name(kind)} have no '
                            'names', f'give an index from 0: {field}[0]')
         return Step(kind, field, split, None, name, names, is_above)
+    if not is_above and _hands_down(split):
+        names = None
     if names is not None and split.is_sequence and not number[1]:
         raise BadInput(where, key, f'{field}[{element:.20}] may be the element that {names} calls '
                        f'{element:.20}, or an index', f'write {field}["{element:.20}"] for the '
@@ -183,14 +186,14 @@ def _names_for(kind: Any, above: Any, of: FieldType) -> tuple[str | None, bool]:
     if not of.is_array or of.inner == 'string':
         return None, False
     names = name_array(kind)
-    if names is not None:
-        return (None if _hands_down(of) else names), False
-    names = None if above is None else name_array(above)
-    return names, names is not None
+    if names is None and above is not None:
+        names = name_array(above)
+        return names, names is not None
+    return names, False
 
 
 def _hands_down(of: FieldType) -> bool:
-    """Tell whether names beside an array are those of arrays in its elements, as of a path."""
+    """Tell whether names beside an array may be those of arrays in its elements, as of a path."""
     if '/' not in of.inner:
         return False
     inner = inner_type(of.inner)
