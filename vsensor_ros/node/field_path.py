@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import difflib
+from functools import cache
 import importlib
 import math
 import re
@@ -98,6 +99,7 @@ def field_type(text: str) -> FieldType:
     return FieldType(text, False, False, None)
 
 
+@cache
 def inner_type(inner: str, where: str = 'message type', key: str = 'type') -> Any:
     """Return the message class of a field whose type is itself a message. Raises BadInput."""
     return message_type(inner.replace('/', '/msg/'), where, key)
