@@ -30,6 +30,7 @@ from vsensor_ros.node.accessor import (
     message_type,
     put_stamp,
 )
+from vsensor_ros.node.field_path import in_brackets
 
 
 def joints():
@@ -227,6 +228,14 @@ def test_joints_named_by_numbers():
                         ('position[#0]', 2.0), ('position["a.b[c]"]', 3.0)):
         assert compile_accessor(JointState, path).get(message) == value
     assert compile_accessor(JointState, 'position["0"]').get(message).code == 'not in the message'
+
+
+@pytest.mark.parametrize('name', ['elbow', '1', '-1', '#1', 'a.b[c]', 'a b', "it's", 'a"b', '_x'])
+def test_how_a_name_is_written(name):
+    message = JointState(name=['other', name], position=[1.0, 2.0])
+    path = f'position[{in_brackets(name)}]'
+    assert compile_accessor(JointState, path).get(message) == 2.0
+    assert (path == f'position[{name}]') is (name in ('elbow', 'a b', '_x'))
 
 
 @pytest.mark.parametrize('name, told', [

@@ -166,15 +166,23 @@ def _step(kind: Any, above: Any, field: str, element: str | None, where: str, ke
     if not is_above and _hands_down(split):
         names = None
     if names is not None and split.is_sequence and not number[1]:
-        raise BadInput(where, key, f'{field}[{element:.20}] may be the element that {names} calls '
-                       f'{element:.20}, or an index', f'write {field}["{element:.20}"] for the '
-                       f'name, {field}[#{element:.20}] for the index')
+        said = element[:20]
+        raise BadInput(where, key, f'{field}[{said}] may be the element that {names} calls {said}, '
+                       f'or an index', f'write {field}[{in_brackets(said)}] for the name, '
+                       f'{field}[#{said}] for the index')
     index = int(number[2][:20])
     size = LONGEST if split.size is None else min(split.size, LONGEST)
     if not 0 <= index < size:
         raise BadInput(where, key, f'{field} of {type_name(kind)} has no element {element:.20}',
                        f'its indices are 0 to {size - 1}' if index >= 0 else 'indices begin at 0')
     return Step(kind, field, split, index, None, names, is_above)
+
+
+def in_brackets(name: str) -> str:
+    """Return how a name is written in brackets: in quotes, where it needs them."""
+    if re.fullmatch(r'[A-Za-z_][^\[\]"\']*', name):
+        return name
+    return f"'{name}'" if '"' in name else f'"{name}"'
 
 
 def name_array(kind: Any) -> str | None:
