@@ -167,8 +167,8 @@ def _step(kind: Any, above: Any, field: str, element: str | None, where: str, ke
         names = None
     if names is not None and split.is_sequence and not number[1]:
         said = element[:20]
-        raise BadInput(where, key, f'{field}[{said}] may be the element that {names} calls {said}, '
-                       f'or an index', f'write {field}[{in_brackets(said)}] for the name, '
+        raise BadInput(where, key, f'{field}[{said}] may be the element that {names} calls '
+                       f'{said}, or an index', f'write {field}[{in_brackets(said)}] for the name, '
                        f'{field}[#{said}] for the index')
     index = int(number[2][:20])
     size = LONGEST if split.size is None else min(split.size, LONGEST)
