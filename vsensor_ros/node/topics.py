@@ -111,8 +111,9 @@ class Topic:
         """Write what a composition has for a field; return why it cannot be written."""
         accessor = self.sensors[i].accessor
         if isinstance(field, Substitute):
-            set_variance = self._set_variance[i]
-            if set_variance is not None and not math.isnan(field.value):
+            set_variance, there = self._set_variance[i], accessor.get(message)
+            if set_variance is not None and not (  # nothing is supplied: its mark may stay
+                    isinstance(there, Reason) and math.isnan(field.value)):
                 set_variance(message, field.deviation)
             return accessor.put(message, field.value)
         if field is not None:
