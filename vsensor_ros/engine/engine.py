@@ -59,7 +59,7 @@ class Engine:
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
-                   self._bank.period, self._intake.say, self._intake.count)
+                   self._bank.period, self._bank.recall, self._intake.say, self._intake.count)
             for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts

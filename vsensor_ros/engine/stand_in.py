@@ -98,14 +98,14 @@ class StandIn:
             else:
                 wanted[name] = Wanted({'stop': None, 'nan': math.nan}.get(
                     action, self._held.get(name)))
-        stream.fail(frozenset(wanted), frozenset(passing))
+        waited = stream.fail(frozenset(wanted), frozenset(passing))
         if not wanted:
-            return []
-        made, troubles = stream.compose(at, wanted, at_once, self._bank.recall)
+            return waited
+        made, troubles = stream.compose(at, wanted, at_once)
         for channel in stream.channels:
             if channel.name in troubles:
                 _note(channel, troubles[channel.name])
-        return made
+        return waited + made
 
     def _estimate(self, channel: Channel, fault_set: tuple[str, ...],
                   distrusted: Collection[str]) -> Wanted | None:

@@ -38,13 +38,13 @@ class Stream:
     """The messages of one input, on their way to one output."""
 
     def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
-                 period: int, say: Callable[[str, Reason], object],
+                 period: int, recall: Recall, say: Callable[[str, Reason], object],
                  count: Callable[[str, Reason], object]) -> None:
         """
         Begin with nothing heard; channels: those of the plan, in its order.
 
-        period: of the ticks. say: something to people, of a level. count: what of a channel did
-        not go on, and why.
+        period: of the ticks. recall: what was estimated. say: something to people, of a level.
+        count: what of a channel did not go on, and why.
         """
         self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
         self.active = False  # sends
@@ -52,7 +52,9 @@ class Stream:
         self.passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
         self.plain = True  # nothing was ever composed: every message goes on
         self.senders = Senders()
-        self._clock, self._period, self._say, self._count = clock, period, say, count
+        self._clock, self._period, self._recall = clock, period, recall
+        self._say, self._count = say, count
+        self._wanted: Mapping[str, Wanted] = {}  # at the last tick
         self._latest: dict[str, float] = {}  # by channel: what it said
         self._heard: dict[str, int] = {}  # and when, by the engine's clock
         self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
@@ -250,8 +252,13 @@ class Stream:
 
     # --------------------------------------------------------------------------- what goes out
 
-    def fail(self, failed: frozenset[str], passing: frozenset[str]) -> None:
-        """Compose these channels from now on; those passing have failed, too."""
+    def fail(self, failed: frozenset[str], passing: frozenset[str]) -> list[Composition]:
+        """
+        Compose these channels from now on; those passing have failed, too.
+
+        Returns what waited of late drivers of which nothing is failed any more.
+        """
+        waited: list[Composition] = []
         self.passing = passing
         if self.plain and failed:
             lasting = self._clock.lasting()
@@ -265,13 +272,14 @@ class Stream:
             self.failed = failed
             for sender in self.senders.all:
                 sender.carried = 0
-                self._turn(sender)
+                waited += self._turn(sender)
             for channel in self.channels:
                 if channel.name not in failed | passing:
                     channel.why = None
+        return waited
 
-    def _turn(self, sender: Sender) -> None:
-        """Let a sender begin or end to be one whose messages are composed."""
+    def _turn(self, sender: Sender) -> list[Composition]:
+        """Let a sender begin or end to be one whose messages are composed; return the last."""
         failed = not self.failed.isdisjoint(sender.channels)
         if failed and not sender.composes:
             sender.begin(self._lateness(sender))
@@ -279,9 +287,12 @@ class Stream:
                 self._say('error', Reason.of('clock of its own', topic=self.plan.source,
                                              seconds=sender.offset * 1e-9))
         elif not failed and sender.composes:
+            waited = self._waited(sender, self._clock.now)  # came before that was believed
             sender.end()
+            return waited
+        return []
 
-    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool, recall: Recall,
+    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool,
                 ) -> tuple[list[Composition], dict[str, Reason]]:
         """
         Make of each template a message with these channels replaced, for the time of the tick.
@@ -289,13 +300,13 @@ class Stream:
         All other channels are as they were last heard, NaN when that is too long ago. A sender
         none of whose channels has a value sends nothing; beside others, one without is NaN.
         at_once: may be stamped a little later. The messages of a late driver keep their stamps,
-        for which recall has the estimates. Returns the messages, and by failed channel why there
-        is none.
+        with the estimates of then. Returns the messages, and by failed channel why there is none.
         """
         made: list[Composition] = []
         troubles: dict[str, Reason] = {}
         if not self.active or time == 0:
             return made, troubles
+        self._wanted = wanted
         for sender, names in self.senders.serving(wanted).items():
             stopped = [name for name in names if wanted[name].value is None]
             if len(stopped) == len(names) and not any(
@@ -303,7 +314,7 @@ class Stream:
                 sender.waiting.clear()
                 continue
             if sender.late:
-                made += self._of_late(sender, time, wanted, recall)
+                made += self._of_late(sender, time)
                 continue
             composed = self._compose(sender, time, wanted, at_once)
             if isinstance(composed, Composition):
@@ -342,28 +353,33 @@ class Stream:
         sender.held_up = None
         return self._composition(sender, sender.template, stamp, time, time, wanted)
 
-    def _of_late(self, sender: Sender, tick: int, wanted: Mapping[str, Wanted],
-                 recall: Recall) -> list[Composition]:
+    def _of_late(self, sender: Sender, tick: int) -> list[Composition]:
         """
         Return the messages of a late driver that came since the last tick, with their stamps.
 
         When it has stopped: its last one, for the time that its messages would be of now.
         """
+        made = self._waited(sender, tick)
+        stamp = tick - sender.lag
+        if not made and stamp > sender.newest and sender.has_stopped(self._clock.now):
+            made.append(self._composition(sender, sender.template, stamp, stamp, tick,
+                                          recalled(self._wanted, stamp, self._recall)))
+        return made
+
+    def _waited(self, sender: Sender, tick: int) -> list[Composition]:
+        """Return the messages of a late driver that waited, with the estimates at their stamps."""
         made, newest = [], sender.newest
-        while sender.waiting:
-            token, stamp, values = sender.waiting.popleft()
+        for token, stamp, values in sender.waiting:
             if stamp > newest:
                 newest = stamp
                 made.append(self._composition(
-                    sender, token, stamp, stamp, tick, recalled(wanted, stamp, recall),
+                    sender, token, stamp, stamp, tick,
+                    recalled(self._wanted, stamp, self._recall),
                     {name: value for name, value in zip(self.names, values)
                      if isinstance(value, float)}))
             else:
                 self._withhold(sender.channels)
-        stamp = tick - sender.lag
-        if not made and stamp > newest and sender.has_stopped(self._clock.now):
-            made.append(self._composition(sender, sender.template, stamp, stamp, tick,
-                                          recalled(wanted, stamp, recall)))
+        sender.waiting.clear()
         return made
 
     def _composition(self, sender: Sender, template: Token | None, stamp: int, time: int,
