@@ -5,7 +5,7 @@ import pytest
 
 from vsensor_ros.bank import Bank, End
 from vsensor_ros.engine.clock import Clock
-from vsensor_ros.engine.commands import AHEAD, BEHIND, Commands
+from vsensor_ros.engine.commands import BEHIND, Commands, NEAR
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.reason import Reason
 
@@ -52,14 +52,14 @@ def make_rig(bench):
 
 
 @pytest.mark.parametrize(('lead', 'counts'), [
-    (None, 0), (0, 0), (-3 * MS, -3 * MS), (-BEHIND, -BEHIND), (-BEHIND - 1, 0), (2 * MS, 0),
-    (AHEAD, 0), (AHEAD + 1, 0), (300 * MS, 0), (-5 * SECOND, 0), (1234 * SECOND - NOW, 0),
-    (10**6 * SECOND, 0)])
+    (None, 0), (0, 0), (-3 * MS, -3 * MS), (-NEAR, -NEAR), (-NEAR - 1, 0),
+    (-BEHIND, 0), (-BEHIND - 1, 0), (2 * MS, 0), (NEAR, 0), (NEAR + 1, 0), (300 * MS, 0),
+    (-5 * SECOND, 0), (1234 * SECOND - NOW, 0), (10**6 * SECOND, 0)])
 def test_a_stamp_counts_where_it_can_be_true(make_rig, lead, counts):
     r = make_rig()
     r.take(lead)
     assert r.times == [counts]
-    foreign = lead is not None and not -BEHIND <= lead <= AHEAD
+    foreign = lead is not None and not -BEHIND <= lead <= NEAR
     assert (r.state.trouble is not None) == foreign == bool(r.warnings())
     assert r.state.from_arrival == foreign
 
@@ -70,6 +70,8 @@ def test_in_simulated_time_a_stamp_may_be_ahead_by_a_step(make_rig):
     assert r.times == [5 * MS]
     r.take(300 * MS, 10 * MS)
     assert r.times == [5 * MS, 10 * MS]
+    r.take(-800 * MS, 900 * MS)  # it runs fast
+    assert r.times == [5 * MS, 10 * MS, 100 * MS] and r.state.trouble is None
 
 
 def test_before_simulated_time_has_begun_a_stamp_is_all_there_is(bench):
@@ -79,6 +81,10 @@ def test_before_simulated_time_has_begun_a_stamp_is_all_there_is(bench):
     assert r.times == [7]
     r.commands.take('u', 2.0, None, 1)
     assert r.times == [7]
+    r.commands.take('u', 1.0, NOW + 3600 * SECOND, 1)  # by the clock on the wall
+    r.bank.advance(NOW + 10 * MS)
+    r.take(0, 10 * MS)
+    assert r.times == [7, 10 * MS]
 
 
 @pytest.mark.parametrize('leads', [
@@ -102,7 +108,7 @@ def test_what_came_later_never_counts_earlier_and_nothing_is_refused(bench, lead
         arrival += wait
         r.take(lead, arrival, float(arrival))
         assert before <= r.times[-1] <= arrival
-        assert r.times[-1] >= arrival - BEHIND or r.times[-1] == before
+        assert r.times[-1] >= arrival - NEAR or r.times[-1] == before
         assert r.bank._told.samples['u'].values[-1] == arrival
         before = r.times[-1]
     assert not r.bank.refused
@@ -160,3 +166,10 @@ def test_after_a_jump_of_the_clock_all_begins_anew(make_rig):
     r.clock.now = 0
     r.take(0, -50 * MS)
     assert r.times == [-50 * MS]
+
+
+def test_one_stamp_from_far_away_harms_no_other(make_rig):
+    r = make_rig()
+    for k, lead in enumerate([-5 * MS, 3600 * SECOND, -5 * MS, -3600 * SECOND, -5 * MS]):
+        r.take(lead, 10 * k * MS)
+    assert r.times == [-5 * MS, 10 * MS, 15 * MS, 30 * MS, 35 * MS]

@@ -12,9 +12,9 @@ from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.stream import is_absent
 from vsensor_ros.reason import Reason
 
-AHEAD = 100_000_000  # ns by which clocks that are set alike may differ
-BEHIND = 250_000_000  # ns that a command may have been on its way
-BEHIND_SIMULATED = 1_000_000_000  # the same: simulated time may run fast
+NEAR = 100_000_000  # ns from its arrival that a stamp can be true
+BEHIND = 250_000_000  # ns that a command may be on its way; from then on its clock is another one
+SIMULATED = 1_000_000_000  # both: simulated time may run fast
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class CommandState:
 class _Heard:
     """What has come of one command; times in ns."""
 
-    stamp: int = 0  # of the last one that had any
+    stamp: int = 0  # of the last one that had one of this clock
     time: int = 0  # from which the last one counts
     lead: int | None = None  # of the last one
     foreign: bool = False  # that lead is not possible on this clock
@@ -45,16 +45,17 @@ class Commands:
     """
     Takes commands. One counts from its stamp, if that can be true, else from its arrival.
 
-    A command acts when it arrives. So a stamp cannot be true that lies ahead of the arrival, too
-    far behind it, or not after the one before: then it is of another clock, or means something
-    else. What came later never counts earlier.
+    A command acts when it arrives; a stamp only tells that better where it is near. It cannot be
+    true ahead of the arrival, far behind it, or not after the one before: then it is of another
+    clock, or means something else. What came later never counts earlier.
     """
 
     def __init__(self, names: Collection[str], bank: Bank, clock: Clock, intake: Intake) -> None:
         self._bank, self._clock, self._intake = bank, clock, intake
         self._heard = {name: _Heard() for name in names}
         # of simulated time the next step may not have come yet
-        self._lead, self._lag = (AHEAD, BEHIND_SIMULATED) if clock.simulated else (0, BEHIND)
+        self._lead, self._lag, self._behind = (NEAR, SIMULATED, SIMULATED) if clock.simulated \
+            else (0, NEAR, BEHIND)
 
     def take(self, name: str, value: float | Reason, stamp: int | None, received: int) -> None:
         """Take a command. received: when, by the system's clock."""
@@ -68,20 +69,20 @@ class Commands:
             return
         if stamp and arrival:
             lead = stamp - arrival
-            if -self._lag <= lead <= AHEAD:
-                if lead <= self._lead and stamp > heard.stamp:
+            if -self._behind <= lead <= NEAR:
+                if -self._lag <= lead <= self._lead and stamp > heard.stamp:
                     time = stamp
-                heard.foreign = False
+                heard.stamp, heard.foreign = stamp, False
             else:
                 self._note_foreign(name, heard, lead)
-            heard.stamp, heard.lead = stamp, lead
+            heard.lead = lead
         elif not (time := stamp or arrival):
             return  # simulated time has not begun
         if time < heard.time:
             time = heard.time
         heard.unused = self._bank.take(name, time, value, self._clock.now)
         if heard.unused is None:
-            heard.time = time
+            heard.time = time if arrival else 0
         else:
             self._intake.note(name, heard.unused)
 
