@@ -89,6 +89,7 @@ SENTENCES: dict[str, Sentence] = {
     'unreadable': 'bytes that are not a message of the type',
     'not in the message': '{field} is not in the message',
     'too short': 'the array is too short for {field}',
+    'disowned': '{field} is marked as not there ({mark})',
     'does not fit': '{value} does not fit into {field} ({type})',
     'only NaN': 'nothing but NaN arrives',
     'only NaN on': 'nothing but NaN arrives on {topic}',

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 sys.path.append(str(Path(__file__).parent))
-from machine import ABSENT, faulty, Machine, Said, SECOND
+from machine import ABSENT, faulty, Machine, PERIOD, Said, SECOND
 
 from vsensor_ros.engine import (
     ANYBODYS,

@@ -275,7 +275,7 @@ class Rig:
 
     @staticmethod
     def reading(value, frame='tank'):
-        message = Range(range=float(value), min_range=0.1, max_range=9.0, variance=0.5)
+        message = Range(range=float(value), min_range=-1e6, max_range=1e6, variance=0.5)
         message.header.frame_id = frame
         return message
 

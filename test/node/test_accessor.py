@@ -20,6 +20,7 @@ from sensor_msgs.msg import (
     Temperature,
 )
 from std_msgs.msg import Float64, Float64MultiArray, Int8, Int32MultiArray, UInt16
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node.accessor import (
@@ -49,7 +50,9 @@ def _pose(x):
     (Imu(), 'angular_velocity.z', 0.0),
     (Float64MultiArray(data=[1.0, 2.0, 3.0]), 'data[2]', 3.0),
     (joints(), 'position[elbow]', 2.0),
-    (joints(), 'position[0]', 1.0),
+    (joints(), 'position[#0]', 1.0),
+    (joints(), 'position["elbow"]', 2.0),
+    (joints(), "position['elbow']", 2.0),
     (BatteryState(voltage=12.5, cell_voltage=[4.0]), 'cell_voltage[0]', 4.0),
     (PoseArray(poses=[_pose(1.0), _pose(2.0)]), 'poses[1].position.x', 2.0),
     (UInt16(data=7), 'data', 7.0),
@@ -118,7 +121,8 @@ def test_room_beside_others():
     assert not message.velocity and len(message.effort) == 3
     assert message.effort[0] == 3.0 and all(math.isnan(e) for e in message.effort[1:])
     assert compile_accessor(JointState, 'velocity[b]').put(message, 5.0) is None
-    assert math.isnan(message.velocity[0]) and list(message.velocity[1:]) == [5.0]
+    assert math.isnan(message.velocity[0]) and message.velocity[1] == 5.0
+    assert math.isnan(message.velocity[2]) and len(message.velocity) == 3  # for each name
     data = Float64MultiArray()
     assert compile_accessor(Float64MultiArray, 'data[2]').put(data, 4.0) is None
     assert math.isnan(data.data[0]) and len(data.data) == 3 and data.data[2] == 4.0
@@ -158,10 +162,17 @@ def test_values_that_do_not_fit_are_a_reason():
     (Range, '__class__', 'is not a field'),
     (Range, 'get_fields_and_field_types', 'has no field'),
     (JointState, 'position', 'position[a name]'),
-    (JointState, 'position[-1]', 'indices begin at 0'),
+    (JointState, 'position[#-1]', 'indices begin at 0'),
     (JointState, 'name[0]', 'not a number'),
     (Imu, 'orientation_covariance[9]', 'indices are 0 to 8'),
-    (JointState, 'position[99999999999999999]', 'indices are 0 to 65535'),
+    (JointState, 'position[#99999999999999999]', 'indices are 0 to 65535'),
+    (JointState, 'position[1]', 'may be the element that name calls 1, or an index; write '
+     'position["1"] for the name, position[#1] for the index'),
+    (JointTrajectory, 'points[0].positions[1]', 'write positions["1"]'),
+    (JointTrajectory, 'points[elbow].positions[a]', 'have no names'),
+    (JointState, 'position["a]', 'is not a field'),
+    (JointState, 'position["a"b]', 'is not a field'),
+    (Float64MultiArray, 'data["1"]', 'have no names'),
     (Float64MultiArray, 'data[65536]', 'indices are 0 to 65535'),
     (Float64MultiArray, 'data[elbow]', 'have no names'),
     (DiagnosticArray, 'status[0].level', 'not a number'),
@@ -177,8 +188,35 @@ def test_bad_fields_are_refused_in_one_line(kind, path, told):
 
 def test_names_of_other_types_are_found_too():
     message = MultiDOFJointState(joint_names=['base'])
-    reason = compile_accessor(MultiDOFJointState, 'transforms[base].translation.x').get(message)
-    assert reason.code == 'not in the message'
+    accessor = compile_accessor(MultiDOFJointState, 'transforms[base].translation.x')
+    assert accessor.get(message).code == 'not in the message'
+    assert accessor.put(message, 2.0) is None
+    assert accessor.get(message) == 2.0 and not message.twist
+    assert math.isnan(message.transforms[0].translation.y)
+    assert math.isnan(message.transforms[0].rotation.w)
+
+
+def test_names_one_level_above():
+    message = JointTrajectory(joint_names=['a', '1'], points=[
+        JointTrajectoryPoint(positions=[1.0, 2.0]),
+        JointTrajectoryPoint(positions=[3.0, 4.0], velocities=[5.0, 6.0])])
+    assert compile_accessor(JointTrajectory, 'points[1].positions["1"]').get(message) == 4.0
+    assert compile_accessor(JointTrajectory, 'points[1].positions[#0]').get(message) == 3.0
+    lost = compile_accessor(JointTrajectory, 'points[0].velocities[c]')
+    assert lost.get(message).code == 'not in the message' and lost.absent(message)
+    assert lost.put(message, 7.0) is None and lost.get(message) == 7.0
+    assert message.joint_names == ['a', '1', 'c']
+    assert [len(p.positions) for p in message.points] == [3, 3]
+    assert [len(p.velocities) for p in message.points] == [3, 3]
+    assert [len(p.accelerations) for p in message.points] == [0, 0]
+
+
+def test_joints_named_by_numbers():
+    message = JointState(name=['2', '1', 'a.b[c]'], position=[2.0, 1.0, 3.0])
+    for path, value in (('position["1"]', 1.0), ("position['2']", 2.0), ('position[#1]', 1.0),
+                        ('position[#0]', 2.0), ('position["a.b[c]"]', 3.0)):
+        assert compile_accessor(JointState, path).get(message) == value
+    assert compile_accessor(JointState, 'position["0"]').get(message).code == 'not in the message'
 
 
 @pytest.mark.parametrize('name, told', [

@@ -5,6 +5,7 @@ One kind of message is known to be decoded though it is broken: rosidl_typesuppo
 Jazzy goes on behind a message inside the message that it could not read, having said so on stderr.
 """
 
+from functools import cache
 import math
 from random import Random
 import struct
@@ -19,7 +20,7 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from hypothesis import given, settings, strategies as st
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
@@ -33,6 +34,7 @@ from sensor_msgs.msg import (
     Illuminance,
     Imu,
     JointState,
+    LaserScan,
     MagneticField,
     MultiDOFJointState,
     MultiEchoLaserScan,
@@ -42,6 +44,7 @@ from sensor_msgs.msg import (
     Range,
     RelativeHumidity,
     Temperature,
+    TimeReference,
 )
 from std_msgs.msg import (
     Bool,
@@ -52,11 +55,16 @@ from std_msgs.msg import (
     String,
     UInt64,
 )
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from type_description_interfaces.msg import FieldType
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node import cdr
-from vsensor_ros.node.accessor import field_type, get_stamp, has_stamp, inner_type, NAME_ARRAYS
+from vsensor_ros.node.accessor import compile_accessor
 from vsensor_ros.node.cdr import decode, Reader
+from vsensor_ros.node.disowned import heed_marks
+from vsensor_ros.node.field_path import field_type, inner_type
+from vsensor_ros.node.stamp import compile_stamps
 from vsensor_ros.reason import Reason
 
 KINDS = [
@@ -64,7 +72,8 @@ KINDS = [
     RelativeHumidity, Illuminance, MagneticField, NavSatFix, WrenchStamped, BatteryState, Float64,
     Float64MultiArray, PoseStamped, PoseArray, Path, PolygonStamped, MultiDOFJointState,
     MultiEchoLaserScan, PointCloud, PointCloud2, CameraInfo, Int16MultiArray, UInt64,
-    ParameterValue, ParameterDescriptor, FieldType,
+    ParameterValue, ParameterDescriptor, FieldType, LaserScan, TimeReference, OccupancyGrid,
+    JointTrajectory, MultiDOFJointTrajectory,
 ]
 DTYPES = {'double': 'd', 'float': 'f', 'uint8': 'B'}
 BITS = {'int8': -8, 'uint8': 8, 'int16': -16, 'uint16': 16, 'int32': -32, 'uint32': 32,
@@ -79,7 +88,7 @@ def random_value(random, kind):
     if kind == 'octet':
         return bytes([random.randrange(256)])
     if kind in ('double', 'float'):
-        value = random.choice([random.gauss(0, 10), math.nan, math.inf, -0.0, 1e-30])
+        value = random.choice([random.gauss(0, 10), math.nan, math.inf, -0.0, 1e-30, -1.0])
         return float(np.float32(value)) if kind == 'float' else value
     if kind in BITS:
         low, high = (0, 2**BITS[kind]) if BITS[kind] > 0 else (-2**(~BITS[kind]), 2**~BITS[kind])
@@ -103,30 +112,39 @@ def random_message(random, kind):
     return message
 
 
+def candidates(kind):
+    for field, text in kind.get_fields_and_field_types().items():
+        of = field_type(text)
+        below = [f'.{path}' for path in candidates(inner_type(of.inner))] \
+            if '/' in of.inner else [''] if of.inner in {*BITS, 'double', 'float'} else []
+        elements = ['[#0]', '[#1]', '[a]', '["elbow"]'] if of.is_array else ['']
+        yield from (field + element + path for element in elements for path in below)
+
+
+def sound(compile_it, *args):
+    try:
+        return compile_it(*args)
+    except BadInput:
+        return None
+
+
+@cache
 def numeric_paths(kind):
     """Return all paths to numbers, with the elements 0, 1, 'a' and 'elbow' of arrays."""
-    fields = kind.get_fields_and_field_types()
-    named = ['[a]', '[elbow]'] if any(fields.get(f) == 'sequence<string>' for f in NAME_ARRAYS) \
-        else []
-    paths = []
-    for field, text in fields.items():
-        of = field_type(text)
-        below = [f'.{path}' for path in numeric_paths(inner_type(of.inner))] \
-            if '/' in of.inner else [''] if of.inner in {*BITS, 'double', 'float'} else []
-        elements = ['']
-        if of.is_array:
-            elements = [*['[0]', '[1]'][:of.size], *named]
-        paths += [field + element + path for element in elements for path in below]
-    return paths
+    return [path for path in candidates(kind) if sound(compile_accessor, kind, path)]
 
 
 def by_decoding(reader, raw):
     message = decode(reader.kind, raw)
     if message is None:
         return None
-    return ((get_stamp(message) or None) if has_stamp(reader.kind) else None,
+    return (reader._stamp.get(message) if reader._stamp else None,
             tuple(accessor.get(message) for accessor in reader.accessors),
             all(accessor.absent(message) for accessor in reader.accessors))
+
+
+def reader_of(kind, paths, stamps=None):
+    return Reader(kind, [compile_accessor(kind, path) for path in paths], stamps)
 
 
 def check(reader, raw):
@@ -138,7 +156,15 @@ def check(reader, raw):
 
 def random_reader(random, kind):
     paths = numeric_paths(kind)
-    return Reader(kind, random.sample(paths, min(len(paths), random.choice([1, 3, 20]))))
+    accessors = [compile_accessor(kind, path) for path in random.sample(
+        paths, min(len(paths), random.choice([1, 3, 20])))]
+    if random.random() < 0.7:
+        accessors = [heed_marks(accessor) for accessor in accessors]
+    stamps = None
+    if random.random() < 0.5:
+        stamps = sound(compile_stamps, kind, random.choice(paths),
+                       random.choice(['s', 'us', 'ns']))
+    return Reader(kind, accessors, stamps)
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -222,7 +248,7 @@ def joint_state(names=('shoulder', 'elbow'), position=(1.0, 2.0), frame='base'):
 def test_bytes_put_together_by_hand():
     raw = struct.pack('<4B iI I3sx I I2s2x I3sx I dd I4xd I', 0, 1, 0, 0, -2, 500_000_000, 3,
                       b'ab\0', 2, 2, b'p\0', 3, b'qq\0', 2, 1.5, 2.5, 1, 3.5, 0)
-    reading = Reader(JointState, ['position[qq]', 'velocity[qq]', 'velocity[p]', 'effort[r]']
+    reading = reader_of(JointState, ['position[qq]', 'velocity[qq]', 'velocity[p]', 'effort[r]']
                      ).read(raw)
     assert reading.stamp == -1_500_000_000
     assert reading.values == (2.5, Reason.of('too short', field='velocity[qq]'), 3.5,
@@ -233,7 +259,7 @@ def test_bytes_put_together_by_hand():
 
 
 def test_a_known_layout_is_not_walked_through_again(monkeypatch):
-    reader = Reader(JointState, ['position[elbow]', 'velocity[0]'])
+    reader = reader_of(JointState, ['position[elbow]', 'velocity[#0]'])
     raw = bytearray(serialize_message(joint_state()))
     first = reader.read(bytes(raw))
     monkeypatch.setattr(reader, '_walk', None)
@@ -247,7 +273,7 @@ def test_a_known_layout_is_not_walked_through_again(monkeypatch):
 
 
 def test_joints_that_change_order_and_drivers_that_share_a_topic():
-    reader = Reader(JointState, ['position[elbow]', 'position[shoulder]'])
+    reader = reader_of(JointState, ['position[elbow]', 'position[shoulder]'])
     for names, values, foreign in (
             (('shoulder', 'elbow'), (2.0, 1.0), False), (('elbow', 'shoulder'), (1.0, 2.0), False),
             (('elbowx', 'houlder'), None, True), (('elbow', 'elbow'), (1.0, None), False)) * 2:
@@ -264,7 +290,7 @@ def test_names_of_any_bytes(names):
     body = struct.pack('<iII', 1, 2, 0) + struct.pack('<II', 1, length) + text
     body += bytes(-len(body) % 4) + struct.pack('<I', 1)
     raw = b'\0\1\0\0' + body + bytes(-len(body) % 8) + struct.pack('<dII', 2.5, 0, 0)
-    reader = Reader(JointState, ['position[elbow]', 'position[\ufffd\ufffd]'])
+    reader = reader_of(JointState, ['position[elbow]', 'position[\ufffd\ufffd]'])
     reading = check(reader, raw)
     assert reading.values.count(2.5) == (text not in (b'', b'\0'))
 
@@ -275,11 +301,11 @@ def test_names_of_any_bytes(names):
     *(bytes([0, kind, 0, 0]) + struct.pack('<d', 1.5) for kind in range(2, 16)),
     b'\1\1\0\0' + struct.pack('<d', 1.5), b'\0\1\0\0' + struct.pack('<d', 1.5) + b'more'])
 def test_any_encapsulation(raw):
-    check(Reader(Float64, ['data']), raw)
+    check(reader_of(Float64, ['data']), raw)
 
 
 def test_big_endian():
-    reader = Reader(Range, ['range'])
+    reader = reader_of(Range, ['range'])
     for seconds, stamp in ((5, 5_000_000_007), (0, None)):
         raw = b'\0\0\0\0' + struct.pack('>iIIBxxx5f', seconds, 7 * bool(seconds), 0, 1, 0.5,
                                          0.25, 4.0, 1.5, 0.0)
@@ -289,7 +315,7 @@ def test_big_endian():
 
 
 def test_a_message_without_fields_takes_a_byte():
-    reader = Reader(Empty, [])
+    reader = reader_of(Empty, [])
     assert reader.read(b'\0\1\0\0') is None is decode(Empty, b'\0\1\0\0')
     assert reader.read(serialize_message(Empty())).values == ()
 
@@ -298,7 +324,7 @@ def test_a_message_without_fields_takes_a_byte():
                                   MultiEchoLaserScan, MultiDOFJointState])
 def test_a_length_beyond_the_message_costs_nothing(kind):
     random = Random(kind.__name__)
-    reader = Reader(kind, numeric_paths(kind)[-1:])
+    reader = reader_of(kind, numeric_paths(kind)[-1:])
     raw = serialize_message(random_message(random, kind))
     refused = 0
     for at in range(4, len(raw) - 3, 4):
@@ -313,7 +339,7 @@ def test_a_length_beyond_the_message_costs_nothing(kind):
 def test_more_than_a_bound_allows_is_refused():
     message = ParameterDescriptor()
     raw = serialize_message(message)
-    reader = Reader(ParameterDescriptor, ['integer_range[0].step'])
+    reader = reader_of(ParameterDescriptor, ['integer_range[0].step'])
     assert reader.read(raw).values[0].code == 'not in the message'
     count = raw[:36].rindex(b'\0\0\0\0')
     raw = raw[:count] + b'\2\0\0\0' + bytes(64)
@@ -323,11 +349,11 @@ def test_more_than_a_bound_allows_is_refused():
 def test_layouts_that_are_long_are_not_kept():
     names = [f'joint_{i}' for i in range(8000)]
     message = JointState(name=names, position=[float(i) for i in range(8000)])
-    reader = Reader(JointState, ['position[joint_7999]', 'position[joint_1]'])
+    reader = reader_of(JointState, ['position[joint_7999]', 'position[joint_1]'])
     for _ in range(2):
         assert reader.read(serialize_message(message)).values == (7999.0, 1.0)
     assert not reader._layouts
-    reader = Reader(JointState, ['velocity[0]'])
+    reader = reader_of(JointState, ['velocity[#0]'])
     raw = serialize_message(JointState(position=[0.0] * 20_000, velocity=[3.0]))
     for _ in range(2):
         tracemalloc.start()
@@ -346,7 +372,7 @@ def test_layouts_that_are_long_are_not_kept():
 
 def test_writing_changes_nothing_else():
     raw = serialize_message(joint_state())
-    reader = Reader(JointState, ['position[elbow]', 'velocity[shoulder]'])
+    reader = reader_of(JointState, ['position[elbow]', 'velocity[shoulder]'])
     reading = reader.read(raw)
     written = reader.write(raw, reading, {0: 9.0, 1: math.nan})
     assert reader.read(written).values[0] == 9.0 and math.isnan(reader.read(written).values[1])
@@ -357,7 +383,7 @@ def test_writing_changes_nothing_else():
 
 def test_writing_makes_room():
     raw = serialize_message(joint_state())
-    reader = Reader(JointState, ['position[elbow]', 'effort[elbow]'])
+    reader = reader_of(JointState, ['position[elbow]', 'effort[elbow]'])
     written = deserialize_message(
         reader.write(raw, reader.read(raw), {1: 6.0, 0: 8.0}), JointState)
     assert list(written.position) == [1.0, 8.0] and written.effort[1] == 6.0
@@ -383,13 +409,13 @@ def test_what_arrives_over_dds():
             while taken is None and time.monotonic() < end:
                 time.sleep(0.001)
                 taken = subscription.handle.take_message(kind, True)
-            assert check(Reader(kind, [path]), taken[0]).values == (value,)
+            assert check(reader_of(kind, [path]), taken[0]).values == (value,)
     finally:
         node.destroy_node()
         context.try_shutdown()
 
 
 def test_other_messages_are_none():
-    reader = Reader(Odometry, ['pose.pose.position.x'])
+    reader = reader_of(Odometry, ['pose.pose.position.x'])
     for message in (String(data='hello'), Bool(data=True), joint_state()):
         assert reader.read(serialize_message(message)) is None

@@ -47,7 +47,8 @@ def test_bad_readings_are_counted_and_stop_nothing(rig, parameters):
     r.publisher(Range, '/y1_raw').publish(backwards)
     r.spin()
     counts = r.counts
-    assert counts['y1', 'not finite'] == 3
+    assert counts['y1', 'not finite'] == 1
+    assert counts['y1', 'range is marked as not there (beyond min_range and max_range)'] == 2
     assert counts['y1', 'stamp runs backwards'] == 1
     r.isolate('y2')
     r.step(*r.healthy(y1=0.75), periods=3)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import re
+import math
 from typing import Any
 
-import numpy as np
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.parameter_file import Parameters
-from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
+from vsensor_ros.node.accessor import Accessor, compile_accessor
+from vsensor_ros.node.field_path import message_type
 
 
 @dataclass(frozen=True)
@@ -71,20 +71,5 @@ def blank(ports: list[Port]) -> Any:
     """Return a message of the ports' type with a place, NaN at first, for each of its fields."""
     message = ports[0].kind()
     for port in ports:
-        holder = message
-        *path, last = port.field.path.split('.')
-        for step in path:
-            holder = getattr(holder, step)
-        if match := re.fullmatch(r'(\w+)\[(\w+)\]', last):
-            array, element = match.groups()
-            length = int(element) + 1 if element.isdigit() else 0
-            if not element.isdigit():
-                names = next(n for n in ('name', 'joint_names') if hasattr(holder, n))
-                if element not in getattr(holder, names):
-                    getattr(holder, names).append(element)
-                length = len(getattr(holder, names))
-            values = list(getattr(holder, array))
-            setattr(holder, array, values + [np.nan] * (length - len(values)))
-    for port in ports:
-        port.field.put(message, np.nan)
+        port.field.put(message, math.nan)
     return message

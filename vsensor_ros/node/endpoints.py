@@ -11,9 +11,12 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.node.accessor import Accessor, compile_accessor, message_type
-from vsensor_ros.node.known import DIAGNOSTICS
+from vsensor_ros.node.accessor import Accessor, compile_accessor
+from vsensor_ros.node.disowned import heed_marks
+from vsensor_ros.node.field_path import message_type
+from vsensor_ros.node.known import DIAGNOSTICS, USE
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, STATUS
+from vsensor_ros.node.stamp import compile_stamps, Stamp
 from vsensor_ros.observers import Design
 
 LONGEST_TOPIC = 247  # characters; rmw takes no more
@@ -31,6 +34,7 @@ class Sensor:
     type: str
     kind: Any  # the message class
     accessor: Accessor
+    stamps: tuple[Stamp, ...]  # where a message has its time; the first counts
     publisher: str  # full name of the node whose messages alone count; '': any
 
 
@@ -43,6 +47,7 @@ class Command:
     type: str
     kind: Any
     accessor: Accessor
+    stamps: tuple[Stamp, ...]
     publisher: str  # full name of the node whose messages alone count; '': any
 
 
@@ -124,15 +129,21 @@ def _resolve(node: Node, topic: str, where: str, key: str,
 
 
 def _field(values: Mapping[str, Any], prefix: str, where: str,
-           problems: list[BadInput]) -> tuple[str, Any, Accessor] | None:
+           problems: list[BadInput],
+           ) -> tuple[str, Any, Accessor, tuple[Stamp, ...]] | None:
     kind_name, path = values.get(f'{prefix}.type'), values.get(f'{prefix}.field')
     if kind_name is None:
         return None
     try:
         kind = message_type(kind_name, where, f'{prefix}.type')
+        stamps = compile_stamps(kind, values.get(f'{prefix}.stamp') or '',
+                                values.get(f'{prefix}.stamp_unit') or '', where, f'{prefix}.stamp')
         if path is None:
             return None
-        return kind_name, kind, compile_accessor(kind, path, where, f'{prefix}.field')
+        accessor = compile_accessor(kind, path, where, f'{prefix}.field')
+        if values.get(f'{prefix}.disowned') != USE:
+            accessor = heed_marks(accessor)
+        return kind_name, kind, accessor, stamps
     except BadInput as problem:
         problems.append(problem)
         return None
@@ -164,10 +175,17 @@ def _crossed(sensors: Sequence[Sensor], where: str) -> list[BadInput]:
                 problems.append(BadInput(
                     where, f'{key}.topic', f'shares one topic with {b.name} but not the other',
                     'sensors in one message share input and output'))
-            elif a.input == b.input and a.accessor.path == b.accessor.path:
+            elif a.input == b.input and a.accessor.steps == b.accessor.steps:
                 problems.append(BadInput(where, f'{key}.field', f'is that of {b.name} too',
                                          'give each sensor its own field'))
+            elif a.input == b.input and a.kind is b.kind and _times(a) != _times(b):
+                problems.append(BadInput(where, f'{key}.stamp', f'is not that of {b.name}, which '
+                                         'comes in the same message', 'give both the same'))
     return problems
+
+
+def _times(sensor: Sensor) -> list[tuple[str, int | None]]:
+    return [(stamp.path, stamp.unit) for stamp in sensor.stamps]
 
 
 def _two_types(found: Endpoints, isolation_type: str | None, where: str,

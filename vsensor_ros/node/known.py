@@ -16,8 +16,10 @@ WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 RECOVERY = ('automatic', 'hold', 'latched')
 SILENT = ('wait', 'replace')
 AT_END = ('hold', 'invalid')
+REFUSE, USE = DISOWNED = ('refuse', 'use')
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 TEXT = 'std_msgs/msg/String'
+UNITS: Mapping[str, int] = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}  # of a stamp, in ns
 LONGEST_TEXT = 4096  # characters of a value
 
 
@@ -178,6 +180,14 @@ def named(design: Design) -> dict[str, Known]:
         known[f'{prefix}.{name}.field'] = Known(str, None, f'field of the message that is {name}')
         known[f'{prefix}.{name}.publisher'] = Known(
             str, '', f'node whose messages alone count for {name}; default: any')
+        known[f'{prefix}.{name}.disowned'] = Known(
+            str, REFUSE, f'what becomes of {name} when its message marks it as not there: refuse '
+            '(it is no reading), use (its driver does not mean the mark)', choices=DISOWNED)
+        known[f'{prefix}.{name}.stamp'] = Known(
+            str, '', f'fields with the time of the message, beside its header; the first is the '
+            f'time of {name} when there is no header')
+        known[f'{prefix}.{name}.stamp_unit'] = Known(
+            str, '', 'unit of those fields that are numbers: s, ms, us or ns')
         if prefix == 'commands':
             known[f'commands.{name}.max_age'] = _override(name, 'max_age')
             known[f'commands.{name}.at_end'] = Known(

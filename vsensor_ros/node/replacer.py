@@ -94,7 +94,8 @@ class Replacer:
                 take_readings, topic, inlet, self.engine, self.log)))
         for command in settings.commands:
             subscription = subscribe(node, group, command.kind, command.topic, LISTEN)
-            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor.path]),
+            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor],
+                                                      command.stamps),
                                 [command])
             takers.append((subscription, partial(take_commands, command, inlet, self.engine)))
         self.readers = {inlet.topic: inlet.reader for inlet in self.inlets}

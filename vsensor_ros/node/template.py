@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.node.accessor import field_type, LARGEST_FLOAT
+from vsensor_ros.node.field_path import field_type, LARGEST_FLOAT
 
 
 @dataclass(eq=False)
@@ -34,15 +34,16 @@ def blank(message: Any, first: Any, last: Any) -> None:
                 if before != after:
                     setattr(message, field, math.nan)
                 continue
-            shared = min(len(before), len(after))
+            here = min(len(target), len(after))  # it may have been cut to its names
+            shared = min(len(before), here)
             for i in np.flatnonzero(np.asarray(before[:shared]) != np.asarray(after[:shared])):
                 target[i] = math.nan
-            for i in range(shared, len(after)):
+            for i in range(shared, here):
                 target[i] = math.nan
         elif '/' in kind.inner:
             if not kind.is_array:
                 blank(target, before, after)
                 continue
             unknown = type(after[0])() if len(after) > len(before) else None
-            for i, element in enumerate(after):
+            for i, element in enumerate(after[:len(target)]):
                 blank(target[i], before[i] if i < len(before) else unknown, element)

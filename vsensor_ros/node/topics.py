@@ -14,12 +14,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from vsensor_ros.engine import ANYBODYS, Composition, Forward, StreamPlan, Substitute
-from vsensor_ros.node.accessor import compile_holder, has_stamp, put_stamp, trace
+from vsensor_ros.node.accessor import compile_holder, compile_names, owner_of_names
 from vsensor_ros.node.cdr import decode, Reader, Reading
+from vsensor_ros.node.disowned import compile_remover
 from vsensor_ros.node.endpoints import Sensor
 from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe
 from vsensor_ros.node.private_rclpy import sender
 from vsensor_ros.node.qos import qos_options
+from vsensor_ros.node.room import complete
 from vsensor_ros.node.template import blank, Template
 from vsensor_ros.node.variance import compile_variance
 from vsensor_ros.reason import Reason
@@ -36,21 +38,25 @@ class Topic:
         self.index, self.sensors = index, sensors
         self.subscription, self.publisher = subscription, publisher
         self.kind = kind = sensors[0].kind
-        self.reader = Reader(kind, [s.accessor.path for s in sensors])
-        self.stamped = has_stamp(kind)
+        self.stamps = sensors[0].stamps
+        self.reader = Reader(kind, [s.accessor for s in sensors], self.stamps)
         self.send = sender(publisher)
         self._templates: dict[int, Template] = {}  # by number of the sender
         self._set_variance = [compile_variance(kind, s.accessor.path) for s in sensors]
-        self._named = [(compile_holder(steps[:i]), step.field, step.names)
-                       for steps in (trace(kind, s.accessor.path) for s in sensors)
-                       for i, step in enumerate(steps) if step.names is not None]
+        self._remove_marks = [compile_remover(s.accessor) for s in sensors]
+        ways = [s.accessor.steps[:depth + 1] for s in sensors
+                for depth, step in enumerate(s.accessor.steps) if step.names is not None]
+        self._named = [(compile_holder(steps[:-1]), steps[-1].field, compile_names(steps))
+                       for steps in ways if steps[-1].name is not None]
+        self._owners = {(*owner_of_names(steps), steps[-1].kind): (
+            compile_holder(owner_of_names(steps)), steps[-1]) for steps in ways}.values()
 
     @property
     def plan(self) -> StreamPlan:
         """What the engine must know of it."""
         first = self.sensors[0]
         return StreamPlan(tuple(s.name for s in self.sensors), first.input, first.output,
-                          self.stamped)
+                          bool(self.stamps))
 
     def forward(self, raw: bytes, reading: Reading, verdict: Forward) -> None:
         """Send a message on; raises RuntimeError when the middleware cannot."""
@@ -66,9 +72,8 @@ class Topic:
         One with numbers that have no names may be anybody's.
         """
         message = decode(self.kind, raw)
-        if any(not getattr(holder, names) or len(getattr(holder, field)) > len(
-                getattr(holder, names)) for find, field, names in self._named
-                if (holder := find(message)) is not None):
+        if any(not (there := names(message)) or len(getattr(holder, field)) > len(there)
+               for find, field, names in self._named if (holder := find(message)) is not None):
             return ANYBODYS
         for number, template in templates:
             there = self._template(number, template).message
@@ -86,23 +91,35 @@ class Topic:
             blank(message, decode(self.kind, first), decode(self.kind, last))
             template.blanked = True
         for i, field in composition.fields:
-            accessor = self.sensors[i].accessor
             if isinstance(field, Substitute):
-                set_variance = self._set_variance[i]
-                if set_variance is not None:
-                    set_variance(message, field.deviation)
-                problem = accessor.put(message, field.value)
-            elif field is not None:
-                problem = accessor.put(message, field)
-            elif isinstance(accessor.get(message), float):
-                problem = accessor.put(message, math.nan)
-            else:
-                problem = None  # neither known nor there
+                self._remove_marks[i](message, field.value)
+        for i, field in composition.fields:
+            problem = self._write(message, i, field)
             if problem is not None:
                 return problem
-        if self.stamped:
-            put_stamp(message, composition.stamp)
+        ever = set().union(*(self.reader.aligned[i] for i, _ in composition.fields))
+        for find, step in self._owners:
+            if (owner := find(message)) is not None:
+                complete(owner, step, ever)
+        for stamp in self.stamps:
+            problem = stamp.put(message, composition.stamp)
+            if problem is not None:
+                return problem
         return message
+
+    def _write(self, message: Any, i: int, field: Substitute | float | None) -> Reason | None:
+        """Write what a composition has for a field; return why it cannot be written."""
+        accessor = self.sensors[i].accessor
+        if isinstance(field, Substitute):
+            set_variance = self._set_variance[i]
+            if set_variance is not None and not math.isnan(field.value):
+                set_variance(message, field.deviation)
+            return accessor.put(message, field.value)
+        if field is not None:
+            return accessor.put(message, field)
+        if isinstance(accessor.get(message), float):
+            return accessor.put(message, math.nan)
+        return None  # neither known nor there
 
     def _template(self, number: int, raw: bytes | None) -> Template:
         """Return the template of a sender, decoded when it is needed."""

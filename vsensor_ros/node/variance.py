@@ -18,18 +18,30 @@ from collections.abc import Callable, Sequence
 import math
 import re
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
-from vsensor_ros.node.accessor import compile_holder, Holder, Step, trace
+from vsensor_ros.node.accessor import compile_holder
+from vsensor_ros.node.field_path import Step, trace
 
 SetVariance = Callable[[Any, float], None]  # message, standard deviation in the field's unit
 
 AXES = {'x': 0, 'y': 1, 'z': 2}
-BLOCKS = {'position': 0, 'linear': 0, 'angular': 3}  # of a 6 by 6 covariance
+QUATERNION = {*AXES, 'w'}
+BLOCKS = {'position': 0, 'orientation': 3, 'linear': 0, 'angular': 3}  # of a 6 by 6 covariance
+POSITION = 'position_covariance'
 GEODETIC = {'longitude': 0, 'latitude': 1, 'altitude': 2}
 TYPE_UNKNOWN, TYPE_DIAGONAL_KNOWN = 0, 2  # of a position_covariance_type
 WGS84_RADIUS, WGS84_E2 = 6378137.0, 6.69437999014e-3  # m, semi-major axis; eccentricity squared
 LARGEST = {'float': 3.4e38, 'double': sys.float_info.max}  # that the checks of messages let pass
+
+
+class Matrix(NamedTuple):
+    """The covariance that a number belongs to."""
+
+    holder: Sequence[Step]  # to the object that has it
+    field: str
+    size: int  # of its rows
+    rows: tuple[int, ...]  # those of the number; of one of a quaternion those of all angles
 
 
 def compile_variance(kind: Any, path: str) -> SetVariance | None:
@@ -41,17 +53,49 @@ def compile_variance(kind: Any, path: str) -> SetVariance | None:
     the whole vector. Raises BadInput.
     """
     steps = trace(kind, path)
-    return _in_scalar(steps) or _in_position(steps) or _in_matrix(steps)
+    if has_variance(steps):
+        return _in_scalar(steps)
+    matrix = matrix_of(steps)
+    if matrix is None or len(matrix.rows) > 1:
+        return None
+    return _in_position(steps, matrix) if matrix.field == POSITION else _in_matrix(matrix)
 
 
-def _in_scalar(steps: Sequence[Step]) -> SetVariance | None:
-    find, last = compile_holder(steps[:-1]), steps[-1]
+def has_variance(steps: Sequence[Step]) -> bool:
+    """Tell whether the variance of a number stands beside it."""
+    last = steps[-1]
     fields = last.kind.get_fields_and_field_types()
     floats = [field for field, kind in fields.items() if kind in LARGEST and field != 'variance']
-    if fields.get('variance') not in LARGEST or last.field not in floats or \
-            not (floats == [last.field] or last.field == _snake(last.kind.__name__)):
+    return fields.get('variance') in LARGEST and last.field in floats and (
+        floats == [last.field] or last.field == _snake(last.kind.__name__))
+
+
+def matrix_of(steps: Sequence[Step]) -> Matrix | None:
+    """Return the covariance that the number at the end of a path belongs to, or None."""
+    last = steps[-1]
+    fields = last.kind.get_fields_and_field_types()
+    if last.field in GEODETIC and fields.get(POSITION) == 'double[9]' and \
+            f'{POSITION}_type' in fields and GEODETIC.keys() <= fields.keys():
+        return Matrix(steps[:-1], POSITION, 3, (GEODETIC[last.field],))
+    if len(steps) < 2 or fields.keys() not in (AXES.keys(), QUATERNION):
         return None
-    largest = LARGEST[fields['variance']]
+    rows = (0, 1, 2) if fields.keys() == QUATERNION else (AXES[last.field],)
+    vector = steps[-2]
+    name = f'{vector.field}_covariance'
+    if not vector.type.is_array and \
+            vector.kind.get_fields_and_field_types().get(name) == 'double[9]':
+        return Matrix(steps[:-2], name, 3, rows)
+    if len(steps) < 3 or vector.field not in BLOCKS:
+        return None
+    outer = steps[-3].kind.get_fields_and_field_types()
+    if outer.get('covariance') != 'double[36]' or len(outer) != 2 or steps[-3].type.is_array:
+        return None
+    return Matrix(steps[:-3], 'covariance', 6, tuple(BLOCKS[vector.field] + row for row in rows))
+
+
+def _in_scalar(steps: Sequence[Step]) -> SetVariance:
+    find, last = compile_holder(steps[:-1]), steps[-1]
+    largest = LARGEST[last.kind.get_fields_and_field_types()['variance']]
 
     def put(message: Any, deviation: float) -> None:
         holder = find(message)
@@ -60,56 +104,36 @@ def _in_scalar(steps: Sequence[Step]) -> SetVariance | None:
     return put
 
 
-def _in_position(steps: Sequence[Step]) -> SetVariance | None:
-    find, last = compile_holder(steps[:-1]), steps[-1]
-    fields = last.kind.get_fields_and_field_types()
-    if fields.get('position_covariance') != 'double[9]' or last.field not in GEODETIC or \
-            'position_covariance_type' not in fields or not GEODETIC.keys() <= fields.keys():
-        return None
-    write = _matrix(find, 'position_covariance', 3, GEODETIC[last.field])
+def _in_position(steps: Sequence[Step], matrix: Matrix) -> SetVariance:
+    find, field = compile_holder(matrix.holder), steps[-1].field
+    write = _in_matrix(matrix)
 
     def put(message: Any, deviation: float) -> None:
         holder = find(message)
         if holder is None:
             return
-        if last.field != 'altitude':
+        if field != 'altitude':
             north, east = metres_per_degree(holder.latitude)
-            deviation *= north if last.field == 'latitude' else east
+            deviation *= north if field == 'latitude' else east
         write(message, deviation)
         if holder.position_covariance_type == TYPE_UNKNOWN and math.isfinite(deviation):
             holder.position_covariance_type = TYPE_DIAGONAL_KNOWN
     return put
 
 
-def _in_matrix(steps: Sequence[Step]) -> SetVariance | None:
-    axis = AXES.get(steps[-1].field)
-    if axis is None or len(steps) < 2 or \
-            steps[-1].kind.get_fields_and_field_types().keys() != AXES.keys():
-        return None
-    vector = steps[-2]
-    name = f'{vector.field}_covariance'
-    if vector.element is None and \
-            vector.kind.get_fields_and_field_types().get(name) == 'double[9]':
-        return _matrix(compile_holder(steps[:-2]), name, 3, axis)
-    if len(steps) < 3 or vector.field not in BLOCKS:
-        return None
-    outer = steps[-3].kind.get_fields_and_field_types()
-    if outer.get('covariance') != 'double[36]' or len(outer) != 2 or steps[-3].element is not None:
-        return None
-    return _matrix(compile_holder(steps[:-3]), 'covariance', 6, BLOCKS[vector.field] + axis)
+def _in_matrix(matrix: Matrix) -> SetVariance:
+    find, size, (row,) = compile_holder(matrix.holder), matrix.size, matrix.rows
 
-
-def _matrix(find: Holder, field: str, size: int, row: int) -> SetVariance:
     def put(message: Any, deviation: float) -> None:
         holder = find(message)
         if holder is None:
             return
-        matrix = getattr(holder, field)
-        matrix[size * row:size * (row + 1)] = 0.0
-        matrix[row::size] = 0.0
-        if matrix[0] < 0:
-            matrix[0] = 0.0
-        matrix[(size + 1) * row] = _variance(deviation, LARGEST['double'])
+        numbers = getattr(holder, matrix.field)
+        numbers[size * row:size * (row + 1)] = 0.0
+        numbers[row::size] = 0.0
+        if numbers[0] < 0:
+            numbers[0] = 0.0
+        numbers[(size + 1) * row] = _variance(deviation, LARGEST['double'])
     return put
 
 
