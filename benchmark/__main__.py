@@ -91,13 +91,13 @@ def measure(load: Load, only: Collection[str], states: Sequence[int],
 def replacer(message: str, rows: list[Row], details: dict[str, object]) -> None:
     """Measure the node beside its peers; add to rows and details."""
     even: list[Row] = []
-    for topics, rate, bars in healthy_path.LOADS:
-        load = Load(message, topics, rate)
+    for topics, rate, burst, bars in healthy_path.LOADS:
+        load = Load(message, topics, rate, burst)
         progress(f'set-up of {topics} topics x {rate:g} Hz')
         with set_up(load) as rig:
             legs = healthy_path.measure(rig, SECONDS, ROUNDS, progress)
             rows += healthy_path.rows(legs, load, bars)
-            details[f'legs, {topics} x {rate:g} Hz'] = {
+            details[f'legs, {topics} x {rate:g} Hz, {burst} at once'] = {
                 name: [asdict(leg) for leg in of] for name, of in legs.items()}
             if topics == healthy_path.LOADS[0][0]:
                 latencies = isolation.measure(rig, ISOLATIONS, progress)

@@ -26,9 +26,10 @@ class Bars:
 
 
 EDGE = 0.5  # s
-LOADS = ((10, 100.0, Bars(cpu=0.25, p50=1.5)),  # topics, Hz
-         (1, 1000.0, Bars(cpu=0.5)),
-         (50, 100.0, Bars(core=60.0, lost=0)))
+LOADS = ((10, 100.0, 1, Bars(cpu=0.25, p50=1.5)),  # topics, Hz, messages at once
+         (1, 1000.0, 1, Bars(cpu=0.5)),
+         (1, 1000.0, 50, Bars(lost=0)),
+         (50, 100.0, 1, Bars(core=60.0, lost=0)))
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,10 @@ def lost(heard: Sequence[Heard], load: Load) -> int:
 
 def rows(legs: dict[str, list[Leg]], load: Load, bars: Bars) -> list[Row]:
     """Compare medians over the rounds, and the sums of what was lost."""
-    group = (f'healthy path, {load.topics} topic{"s" * (load.topics > 1)} x {load.rate:g} Hz of '
-             f'{load.message}, {load.topics} virtual sensor{"s" * (load.topics > 1)}; '
-             'peer: bare typed rclpy relay')
+    at_once = f' in bursts of {load.burst}' if load.burst > 1 else ''
+    group = (f'healthy path, {load.topics} topic{"s" * (load.topics > 1)} x {load.rate:g} Hz'
+             f'{at_once} of {load.message}, {load.topics} virtual sensor'
+             f'{"s" * (load.topics > 1)}; peer: bare typed rclpy relay')
 
     ours, peer = (legs[name] for name in ('replacer', 'relay'))
 

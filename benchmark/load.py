@@ -40,6 +40,7 @@ class Load:
     message: str = 'JointState'  # or Range
     topics: int = 10
     rate: float = 100.0  # Hz, of each topic
+    burst: int = 1  # messages of a topic that come at once
 
     @property
     def kind(self) -> Any:
@@ -58,12 +59,12 @@ class Load:
 
     def text(self) -> list[str]:
         """Return what `parse` reads, for a command line."""
-        return [self.message, str(self.topics), str(self.rate)]
+        return [self.message, str(self.topics), str(self.rate), str(self.burst)]
 
     @classmethod
     def parse(cls, text: list[str]) -> Load:
         """Read back what `text` wrote."""
-        return cls(text[0], int(text[1]), float(text[2]))
+        return cls(text[0], int(text[1]), float(text[2]), int(text[3]))
 
     def message_of(self, reading: float) -> Any:
         """Return a message with this reading."""
@@ -104,17 +105,19 @@ def publish(load: Load, stop: Callable[[], bool]) -> None:
                 load.template(float(load.topics - i)))
                for i, topic in enumerate(load.outputs)]
     command = node.create_publisher(Float64, COMMAND_TOPIC, 10)
-    gap = 1.0 / (load.rate * load.topics)
-    due, count = time.monotonic(), 0
+    gap = load.burst / (load.rate * load.topics)
+    due, turn = time.monotonic(), 0
     commanded = due
     while not stop():
-        publisher, message = streams[count % load.topics]
-        load.sign(message, time.time_ns(), count // load.topics)
-        publisher.publish(bytes(message))
+        publisher, message = streams[turn % load.topics]
+        first = turn // load.topics * load.burst
+        for count in range(first, first + load.burst):
+            load.sign(message, time.time_ns(), count)
+            publisher.publish(bytes(message))
         if due >= commanded:
             command.publish(Float64(data=1.0))
             commanded += 1.0 / COMMAND_RATE
-        count += 1
+        turn += 1
         due += gap
         time.sleep(max(0.0, due - time.monotonic()))
     node.destroy_node()

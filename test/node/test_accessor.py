@@ -30,6 +30,7 @@ from vsensor_ros.node.accessor import (
     message_type,
     put_stamp,
 )
+from vsensor_ros.node.field_path import in_brackets
 
 
 def joints():
@@ -211,12 +212,30 @@ def test_names_one_level_above():
     assert [len(p.accelerations) for p in message.points] == [0, 0]
 
 
+def test_names_of_messages_with_arrays():
+    """As control_msgs/DynamicJointState has them: joints, and the interfaces of each."""
+    states = JointTrajectory(joint_names=['a', 'b'], points=[
+        JointTrajectoryPoint(positions=[1.0]), JointTrajectoryPoint(positions=[2.0])])
+    with pytest.raises(BadInput, match='have no names; give an index'):  # a and b are taken
+        compile_accessor(JointTrajectory, 'points[b].positions[a]')
+    assert compile_accessor(JointTrajectory, 'points[b].positions[0]').get(states) == 2.0
+    assert compile_accessor(JointTrajectory, 'points[0].positions[a]').get(states) == 1.0
+
+
 def test_joints_named_by_numbers():
     message = JointState(name=['2', '1', 'a.b[c]'], position=[2.0, 1.0, 3.0])
     for path, value in (('position["1"]', 1.0), ("position['2']", 2.0), ('position[#1]', 1.0),
                         ('position[#0]', 2.0), ('position["a.b[c]"]', 3.0)):
         assert compile_accessor(JointState, path).get(message) == value
     assert compile_accessor(JointState, 'position["0"]').get(message).code == 'not in the message'
+
+
+@pytest.mark.parametrize('name', ['elbow', '1', '-1', '#1', 'a.b[c]', 'a b', "it's", 'a"b', '_x'])
+def test_how_a_name_is_written(name):
+    message = JointState(name=['other', name], position=[1.0, 2.0])
+    path = f'position[{in_brackets(name)}]'
+    assert compile_accessor(JointState, path).get(message) == 2.0
+    assert (path == f'position[{name}]') is (name in ('elbow', 'a b', '_x'))
 
 
 @pytest.mark.parametrize('name, told', [

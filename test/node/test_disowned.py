@@ -4,6 +4,7 @@ import math
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
+import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import (
@@ -196,9 +197,21 @@ def test_what_else_a_mark_was_on_becomes_nan():
     message = fix(0.0, status=-1)
     compile_remover(heeding(NavSatFix, 'altitude'))(message, 0.5)
     assert math.isnan(message.latitude) and message.status.status == 0
-    message = ranger(0.5)
-    compile_remover(heeding(Range, 'range'))(message, 0.5)
-    assert message == ranger(0.5)
+    message = imu(0.0, variance=-1e-18, own=-1.0)  # rounded, and marked
+    compile_remover(heeding(Imu, 'angular_velocity.z'))(message, 0.5)
+    assert message.angular_velocity.x == 0.0
+
+
+def test_limits_are_widened_no_more_than_needed():
+    message, accessor = ranger(0.5), heeding(Range, 'range')
+    remove = compile_remover(accessor)
+    for value in (0.5, 1e39, math.nan):  # within; more than fits into the field; none
+        remove(message, np.float64(value))
+        assert message == ranger(0.5)
+    remove(message, np.float32(0.0625))
+    assert (message.min_range, message.max_range) == (0.0625, 8.0)
+    remove(message, np.float32(16.0))
+    assert (message.min_range, message.max_range) == (0.0625, 16.0)
 
 
 # ---- at the topic: y1 comes in another type, and the virtual sensor of y2 is twice y1

@@ -14,6 +14,7 @@ from vsensor_ros.node.loop import run
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns
+KEPT, TAKEN = 1000, 200  # messages of a topic between two polls, and in one: docs/topics.md
 
 
 @contextmanager
@@ -45,6 +46,33 @@ def now_(value):
     message = Range(range=float(value))
     put_stamp(message, time.time_ns())
     return message
+
+
+def publish(driver, count, first=0):
+    for i in range(first, first + count):
+        driver.publish(now_(i))
+
+
+def test_what_came_while_nobody_polled_goes_on_in_portions(rig, parameters):
+    r = rig(parameters, sim_time=False)
+    heard, driver = r.listen(RANGE, '/y1'), r.publisher(Range, '/y1_raw')
+    publish(driver, KEPT + 1)
+    taken = [r.replacer.poll() for _ in range(KEPT // TAKEN + 1)]
+    assert taken == [TAKEN] * (KEPT // TAKEN) + [0]
+    assert r.spin_until(lambda: len(heard) == KEPT)
+    assert r.values(heard) == list(range(1, KEPT + 1))  # only the oldest found no room
+
+
+@pytest.mark.parametrize('burst, times', [(50, 20), (TAKEN + 1, 3), (KEPT, 2)])
+def test_a_burst_goes_through_completely(rig, parameters, burst, times):
+    r = rig(parameters, sim_time=False)
+    heard, driver = r.listen(RANGE, '/y1'), r.publisher(Range, '/y1_raw')
+    with running(r):
+        for k in range(times):
+            with r.replacer.lock:  # the loop stands still until all are there
+                publish(driver, burst, k * burst)
+            assert r.spin_until(lambda due=(k + 1) * burst: len(heard) >= due), len(heard)
+    assert r.values(heard) == list(range(burst * times))
 
 
 def test_messages_pass_and_ticks_lie_on_the_grid(rig, parameters):

@@ -82,6 +82,20 @@ def test_one_sensor_may_have_its_own(start, parameters):
     assert not settings.autostart
 
 
+def test_names_of_isolation_and_publishers(start, parameters):
+    settings = read(start(parameters))
+    assert settings.isolation_names.find('y2') == 'y2'
+    assert {s.publisher for s in (*settings.sensors, *settings.commands)} == {''}
+    settings = read(start({**parameters, 'isolation.names': ['', 'level 2=y2'],
+                           'sensors.y1.publisher': 'driver', 'commands.u1.publisher': '/a/nav'}))
+    assert settings.isolation_names.find('level 2') == 'y2'
+    assert [s.publisher for s in settings.sensors] == ['/driver', '', '']
+    assert [c.publisher for c in settings.commands] == ['/a/nav']
+    for empty in ([], ['']):
+        assert read(start({**parameters, 'isolation.names': empty})).isolation_names.find('q') is \
+            None
+
+
 def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
     assert read(start({**parameters, 'rate': 2.0})).jump_ahead == 5.0
     assert read(start({**parameters, 'rate': 2.0, 'max_jump': 7.0})).jump_ahead == 7.0
@@ -145,6 +159,14 @@ def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
     ({'isolation.topic': '~/status'}, '/replacer/status is what this node says'),
     ({'sensors.y1.topic': '/replacer/estimates'}, 'but /replacer/estimates carries'),
     ({'sensors.y1.input': '/' + 'y' * 247}, 'like /tank/level2, with at most 247 characters'),
+    ({'isolation.names': ['level=y22']}, "isolation.names: 'level=y22' is for 'y22', which is not "
+     'a sensor; did you mean y2?'),
+    ({'isolation.names': 'level=y2'}, "isolation.names: 'level=y2' is not a list of texts; give"),
+    ({'isolation.names': [1, 2]}, 'is not a list of texts; give the names by which'),
+    ({'sensors.y1.publisher': '/robot/the driver'}, "sensors.y1.publisher: '/robot/the driver' is "
+     'not the name of a node; write it like /robot/driver'),
+    ({'commands.u1.publisher': 'a//b'}, "commands.u1.publisher: 'a//b' is not the name of a node"),
+    ({'sensors.y1.publisher': 7}, 'sensors.y1.publisher: 7 is not a text'),
     ({'sensors.y1.field': 'range' * 1000}, 'sensors.y1.field: has 5000 characters; at most 4096'),
 ])
 def test_refusals(start, parameters, changes, told):

@@ -9,9 +9,12 @@ import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Range
 
+from vsensor_ros.lab.domain import by_hand
 from vsensor_ros.lab.process import die_with_parent
+from vsensor_ros.node.private_rclpy import take_all
 
 COMMAND = [sys.executable, '-m', 'vsensor_ros.command.replacer']
 TEXT = """
@@ -72,6 +75,47 @@ def test_serves_until_a_signal_and_ends_in_order(parameter_file, number):
     assert 'Traceback' not in out + err and 'Exception' not in out + err, err
     assert '/y1_raw -> /y1 (sensor_msgs/msg/Range, range)' in err
     assert 'isolation: /isolation (diagnostic_msgs/msg/DiagnosticArray)' in err
+
+
+def test_bursts_go_through_completely(parameter_file):
+    context = Context()
+    context.init()
+    node = Node('rig', context=context)
+    listener = node.create_subscription(Range, '/y1', by_hand, QoSProfile(depth=1000))
+    driver = node.create_publisher(Range, '/y1_raw', 100)
+    process = subprocess.Popen([*COMMAND, '--ros-args', '--params-file', str(parameter_file)],
+                               stderr=subprocess.DEVNULL, preexec_fn=die_with_parent)
+    heard = []
+
+    def publish(*values):
+        for value in values:
+            driver.publish(Range(range=float(value)))
+
+    def hear(count):
+        end = time.monotonic() + 120
+        while len(heard) < count:
+            assert process.poll() is None and time.monotonic() < end, heard[-5:]
+            heard.extend(message.range for message, _ in take_all(listener))
+            time.sleep(0.002)
+    try:
+        end = time.monotonic() + 120
+        while not heard and time.monotonic() < end:  # until it sends
+            publish(-2)
+            heard.extend(message.range for message, _ in take_all(listener))
+            time.sleep(0.01)
+        publish(-1)
+        while heard[-1] != -1.0:
+            hear(len(heard) + 1)
+        heard.clear()
+        for k in range(10):
+            publish(*range(50 * k, 50 * k + 50))
+            hear(50 * k + 50)
+    finally:
+        process.kill()
+        process.wait()
+        node.destroy_node()
+        context.shutdown()
+    assert heard == list(range(500))
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

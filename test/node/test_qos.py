@@ -13,9 +13,9 @@ from sensor_msgs.msg import Range
 
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameters import read, watch
+from vsensor_ros.node.polling import LISTEN
 from vsensor_ros.node.qos import qos_options
 
-LISTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 Y1 = 'qos_overrides./y1_raw.subscription'
 
 
@@ -76,7 +76,7 @@ def test_a_late_listener_hears_what_a_transient_local_driver_said(context, start
     assert seen['/y1_raw'].reliability == ReliabilityPolicy.RELIABLE
     assert seen['/y2_raw'].reliability == ReliabilityPolicy.BEST_EFFORT
     assert seen['/y2_raw'].durability == DurabilityPolicy.VOLATILE
-    assert node.get_parameter('qos_overrides./y2_raw.subscription.depth').value == 200
+    assert node.get_parameter('qos_overrides./y2_raw.subscription.depth').value == LISTEN.depth
     for topic in ('/y1_raw', '/y2_raw'):
         assert node.describe_parameter(f'qos_overrides.{topic}.subscription.depth').read_only
     # closed and opened again, as after a cleanup

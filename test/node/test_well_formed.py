@@ -4,10 +4,13 @@ import math
 
 from geometry_msgs.msg import Transform, Twist
 import pytest
+from rclpy.context import Context
+from rclpy.node import Node
 from sensor_msgs.msg import JointState, MultiDOFJointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from vsensor_ros.node.cdr import decode
-from vsensor_ros.node.parameters import Refused
+from vsensor_ros.node.parameters import read, Refused
 
 JOINTS = 'sensor_msgs/msg/JointState'
 NAMES = ['wrist', 'elbow', 'shoulder']
@@ -131,6 +134,32 @@ def test_joints_of_several_degrees_of_freedom(rig, parameters):
     assert not message.wrench
 
 
+def test_names_one_level_above_the_arrays(rig, parameters):
+    given = dict(parameters)
+    for name, field in (('y1', 'positions[a]'), ('y2', 'velocities[b]')):
+        given[f'sensors.{name}.topic'] = '/path'
+        given[f'sensors.{name}.type'] = 'trajectory_msgs/msg/JointTrajectory'
+        given[f'sensors.{name}.field'] = f'points[0].{field}'
+
+    def trajectory(velocities):
+        return '/path_raw', JointTrajectory(joint_names=['a', 'b', 'c'], points=[
+            JointTrajectoryPoint(positions=[0.5, 2.0, 3.0], velocities=velocities),
+            JointTrajectoryPoint(positions=[4.0], velocities=[5.0, 6.0, 7.0])])
+
+    r = rig(given)
+    heard = r.listen('trajectory_msgs/msg/JointTrajectory', '/path')
+    r.step(trajectory([0.0, 1.0, 0.0]), r.healthy()[2], periods=5)
+    r.isolate('y2')
+    before = len(heard)
+    r.step(trajectory([]), r.healthy()[2], periods=5)
+    assert r.spin_until(lambda: len(heard) >= before + 5)
+    here, beyond = decode(JointTrajectory, heard[-1]).points
+    assert list(here.positions) == [0.5, 2.0, 3.0] and here.velocities[1] == 1.0
+    assert math.isnan(here.velocities[0]) and len(here.velocities) == 3
+    assert len(beyond.positions) == 3 and list(beyond.velocities) == [5.0, 6.0, 7.0]
+    assert not here.accelerations and not beyond.effort
+
+
 # ---- joints that are named by numbers
 
 
@@ -178,3 +207,35 @@ def test_one_joint_written_in_two_ways_is_one(rig, joint_parameters):
     with pytest.raises(Refused) as refused:
         rig({**joint_parameters, 'sensors.y1.field': 'position["elbow"]'})
     assert 'is that of y1 too' in str(refused.value)
+
+
+def test_brackets_come_through_a_parameter_file(design_file, tmp_path):
+    """Neither quotes nor # mean anything to the parser of ROS where they stand here."""
+    path = tmp_path / 'replacer.yaml'
+    path.write_text(f"""replacer:
+  ros__parameters:
+    design_file: {design_file}
+    sensors:
+      y1: {{topic: /joints, type: {JOINTS}, field: 'position["1"]'}}
+      y2: {{topic: /joints, type: {JOINTS}, field: "position[#1]"}}
+      y3:
+        topic: /joints
+        type: {JOINTS}
+        field: velocity["1"]   # a comment
+    commands:
+      u1:
+        topic: /u1
+        type: {JOINTS}
+        field: effort[#1]
+""")
+    context = Context()
+    context.init(args=['--ros-args', '--params-file', str(path)])
+    try:
+        node = Node('replacer', context=context,
+                    automatically_declare_parameters_from_overrides=True)
+        settings = read(node)
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+    paths = [s.accessor.path for s in (*settings.sensors, *settings.commands)]
+    assert paths == ['position["1"]', 'position[#1]', 'velocity["1"]', 'effort[#1]']

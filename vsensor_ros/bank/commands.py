@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 
@@ -88,7 +88,10 @@ class Command(Samples):
 
     def held(self, time: int) -> float | None:
         """Return what counts at a time, be it that a value holds; None when nothing ever has."""
-        return self._counts(bisect_right(self.stamps, time) - 1, time)
+        i = bisect_right(self.stamps, time) - 1
+        if i >= 0 and time - self.stamps[i] < self._age:  # mostly
+            return self.values[i]
+        return self._counts(i, time)
 
     def stopped(self, time: int) -> bool:
         """Tell whether it has ended at a time, and nothing counts in its place."""
@@ -105,14 +108,16 @@ class Command(Samples):
         Start and end are those of the straight line with the same mean and the same first moment,
         which does to an observer what the jumps do, to third order in the step.
         """
-        first = bisect_right(self.stamps, start)
-        value = self._counts(first - 1, start)
-        if value is None:
+        stamps = self.stamps
+        first = bisect_right(stamps, start)
+        if first == len(stamps) > 0 and end - stamps[-1] <= self._age:
+            value = self.values[-1]
+            return value, value, value
+        before = self._counts(first - 1, start)
+        if before is None:
             return 0.0, 0.0, 0.0  # nobody who reads it is running yet
-        mean, slope = value, 0.0
-        if first == len(self.stamps) > 0 and end - self.stamps[-1] <= self._age:
-            return mean, mean, mean
-        for time, new in self._jumps(first, start, end):
+        value, mean, slope = before, before, 0.0
+        for time, new in self._jumps(first, bisect_left(stamps, end), start, end):
             part, jump, value = (time - start) / (end - start), new - value, new
             mean += jump * (1.0 - part)
             slope += 6.0 * jump * part * (1.0 - part)
@@ -128,16 +133,17 @@ class Command(Samples):
             return self._value
         return self.values[i]
 
-    def _jumps(self, first: int, start: int, end: int) -> list[tuple[int, float]]:
-        """Return what counts anew between two times, and from when; first: the next value."""
-        stamps, jumps = self.stamps, []
-        for i in range(max(first - 1, 0), bisect_left(stamps, end)):
-            if i >= first:
-                jumps.append((stamps[i], self.values[i]))
-            if self._value is not None and start < (at := self._end_of(i)) < end and (
-                    i + 1 == len(stamps) or at < stamps[i + 1]):
+    def _jumps(self, first: int, last: int, start: int, end: int) -> Iterable[tuple[int, float]]:
+        """Return from when what counts anew between two times; first: the next value, of last."""
+        stamps, values = self.stamps, self.values
+        if self._value is None:
+            return zip(stamps[first:last], values[first:last])
+        jumps = list(zip(stamps[first:last], values[first:last]))
+        for i in range(max(first - 1, 0), last):
+            at = self._end_of(i)
+            if start < at < end and (i + 1 == len(stamps) or at < stamps[i + 1]):
                 jumps.append((at, self._value))
-        return jumps
+        return sorted(jumps)
 
     def _end_of(self, i: int) -> int:
         """Return when the i-th value has ended, if no other one comes before."""

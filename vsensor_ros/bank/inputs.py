@@ -98,9 +98,10 @@ class Inputs:
         if reason is not None:
             command.spoil(int(min(stamp, latest)))
             return reason
-        # later readings that see it are cleaned anew
-        return min([stamp, *(reading.before(stamp) + 1 for reading in self._seers[name]
-                             if reading.stamps and reading.stamps[-1] >= stamp)])
+        for reading in self._seers[name]:  # later ones that see it are cleaned anew
+            if reading.stamps and reading.stamps[-1] >= command.stamps[-1]:
+                stamp = min(stamp, reading.before(command.stamps[-1]) + 1)
+        return stamp
 
     def spoil(self, name: str, time: int) -> None:
         """Note that what came of a command could not be used; see `Command`."""

@@ -250,9 +250,10 @@ class Steps:
         """Forget the states after a time [ns], to step them anew; return the time of the last."""
         while len(self._past) > 1 and self._at(self._past[-1].tick) > to:
             self._past.pop()
-        self._now = to
+        last = self._at(self._past[-1].tick)
+        self._now = min(to, last)
         self._estimates = self._unseen = None
-        return self._at(self._past[-1].tick)
+        return last
 
     def _take_back(self, last: int) -> None:
         """Drop the states that late data changes; wait with it when that is often and far."""

@@ -18,7 +18,7 @@ from typing import Any
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
-from vsensor_ros.engine.channel import Channel, NONE, VIRTUAL
+from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.commands import Commands
 from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
@@ -59,7 +59,7 @@ class Engine:
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
-                   self._bank.period, self._intake.say, self._intake.count)
+                   self._bank.period, self._bank.recall, self._intake.say, self._intake.count)
             for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts
@@ -386,8 +386,9 @@ class Engine:
         decision = self._switch.decisions[name]
         source, reason = self._is(stream, channel)
         fault_set, serves, value, deviation, interval = faulty, None, channel.value, math.inf, None
-        if source == VIRTUAL and standstill is not None:  # so do the virtual sensors
-            source, value = NONE, math.nan
+        if standstill is not None and (
+                source == VIRTUAL or source == REAL and stream.composes(name)):
+            source, value = NONE, math.nan  # for nothing is composed meanwhile
             reason = Reason.of('instead', why=standstill, instead=Reason('stop'))
         elif source == VIRTUAL:
             fault_set = decision.fault_set

@@ -30,7 +30,7 @@ INCREASING = 0.75  # of their stamps that must be newer than the one before
 LATE = 2  # intervals between its messages, and periods, above which a driver is late
 MISSING = 2.5  # times its longest recent silence after which a late driver has stopped
 PAUSE = 100_000_000  # ns for which it may say nothing on a busy computer, at least
-WAITING = 10  # messages of a late driver that may come between two ticks
+WAITING = 20  # messages of a late driver between two ticks that are kept, at most
 
 
 class Waiting(NamedTuple):
@@ -165,18 +165,19 @@ class Sender:
             self.ahead = lead + AHEAD
         return True
 
-    def lateness(self, period: int) -> int:
+    def lateness(self, period: int, most: int) -> int:
         """
         Return by how much its stamps are older than the time when they come; 0: not worth a word.
 
-        That is the least of late, of a driver whose stamps go on. period: of the ticks.
+        That is the least of late, of a driver whose stamps go on. period: of the ticks. most: for
+        so long it is remembered what virtual sensors have said.
         """
         if len(self.recent) < ENOUGH:
             return 0
         increasing = sum(b > a for (a, _), (b, _) in pairwise(self.recent))
         least = min(came - stamp for stamp, came in self.recent)
         known = increasing >= INCREASING * (len(self.recent) - 1) and \
-            LATE * max(self._interval(), period) < least <= CLOCKS_APART
+            LATE * max(self._interval(), period) < least <= min(most, CLOCKS_APART)
         return least if known else 0
 
     def _interval(self) -> float:
@@ -185,14 +186,13 @@ class Sender:
 
     # ------------------------------------------------------------------------ what is composed
 
-    def begin(self, period: int) -> None:
+    def begin(self, lateness: int) -> None:
         """Note that messages are composed from now on, and how they are to be stamped."""
         self.composes, self.held_up = True, None
         last = [stamp - came for stamp, came in list(self.recent)[-AGREE:]]
         offset = median_low(last) if last else 0
         self.offset = offset if abs(offset) > CLOCKS_APART else 0
-        self.lag = self.lateness(period)
-        self.late = self.lag > 0
+        self.lag, self.late = lateness, lateness > 0
         self.spoke = self.recent[-1][1] if self.recent else 0
 
     def end(self) -> None:

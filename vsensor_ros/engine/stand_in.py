@@ -10,8 +10,9 @@ from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.events import Composition, Substitute
 from vsensor_ros.engine.settings import Live
-from vsensor_ros.engine.stream import Stream, Wanted
+from vsensor_ros.engine.stream import Stream
 from vsensor_ros.engine.switch import Decision, Source
+from vsensor_ros.engine.wanted import Wanted
 from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
 
@@ -56,8 +57,9 @@ class StandIn:
         silence = None if stream is None else stream.silence(name)
         if stream is None or silence is None:
             return reason
-        ahead = stream.ahead(name) * 1e-9 if reason.code == 'no reading yet' else \
-            silence * 1e-9 - reason.fact('seconds')
+        ahead = stream.ahead(name) * 1e-9
+        if abs(ahead) < LATE and reason.code == 'input silent':  # nothing of it went out, say
+            ahead = silence * 1e-9 - reason.fact('seconds')
         if not stream.fresh(name):
             return Reason.of('input silent', name=name, seconds=silence * 1e-9)
         if abs(ahead) < LATE:
@@ -96,14 +98,14 @@ class StandIn:
             else:
                 wanted[name] = Wanted({'stop': None, 'nan': math.nan}.get(
                     action, self._held.get(name)))
-        stream.fail(frozenset(wanted), frozenset(passing))
+        waited = stream.fail(frozenset(wanted), frozenset(passing))
         if not wanted:
-            return []
-        made, troubles = stream.compose(at, wanted, at_once, self._bank.recall)
+            return waited
+        made, troubles = stream.compose(at, wanted, at_once)
         for channel in stream.channels:
             if channel.name in troubles:
                 _note(channel, troubles[channel.name])
-        return made
+        return waited + made
 
     def _estimate(self, channel: Channel, fault_set: tuple[str, ...],
                   distrusted: Collection[str]) -> Wanted | None:

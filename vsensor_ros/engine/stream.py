@@ -9,11 +9,9 @@ it, and every other channel is what it last said. All times are in ns.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import math
 from types import MappingProxyType
-from typing import NamedTuple
 
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
@@ -27,42 +25,26 @@ from vsensor_ros.engine.events import (
 )
 from vsensor_ros.engine.sender import Sender, Senders
 from vsensor_ros.engine.settings import StreamPlan
+from vsensor_ros.engine.wanted import Recall, recalled, Wanted
+from vsensor_ros.engine.withheld import Withheld
 from vsensor_ros.reason import Reason
 
 UNREADABLE, NOT_NEWER, ONLY_NAN, NEVER_SEEN = map(Reason, (
     'unreadable', 'not newer', 'only NaN', 'never seen'))
-LATELY = 5_000_000_000  # ns for which it is said that something was withheld
-MOST = 1000  # of these that are counted
 ABSENT = 'not in the message'  # code of the reason why a message has no value of a channel
-
-
-class Wanted(NamedTuple):
-    """What is to go out for a failed channel."""
-
-    value: float | None  # NaN marks it as failed; None: nothing is to go out
-    fault_set: tuple[str, ...] | None = None  # of the virtual sensor that says so
-    deviation: float = math.inf  # standard deviation; inf when not known
-    interval: tuple[float, float] | None = None  # in which the truth lies
-    grade: str = ''
-    above: float | None = None  # see Channel.serve
-
-
-# what a virtual sensor said of a channel at an earlier time: value, deviation, interval
-Recall = Callable[[tuple[str, ...], str, int],
-                  'tuple[float, float, tuple[float, float] | None] | None']
 
 
 class Stream:
     """The messages of one input, on their way to one output."""
 
     def __init__(self, index: int, plan: StreamPlan, channels: Sequence[Channel], clock: Clock,
-                 period: int, say: Callable[[str, Reason], object],
+                 period: int, recall: Recall, say: Callable[[str, Reason], object],
                  count: Callable[[str, Reason], object]) -> None:
         """
         Begin with nothing heard; channels: those of the plan, in its order.
 
-        period: of the ticks. say: something to people, of a level. count: what of a channel did
-        not go on, and why.
+        period: of the ticks. recall: what was estimated. say: something to people, of a level.
+        count: what of a channel did not go on, and why.
         """
         self.index, self.plan, self.names, self.channels = index, plan, plan.names, channels
         self.active = False  # sends
@@ -70,11 +52,13 @@ class Stream:
         self.passing: frozenset[str] = frozenset()  # failed, too, but let through all the same
         self.plain = True  # nothing was ever composed: every message goes on
         self.senders = Senders()
-        self._clock, self._period, self._say, self._count = clock, period, say, count
+        self._clock, self._period, self._recall = clock, period, recall
+        self._say, self._count = say, count
+        self._wanted: Mapping[str, Wanted] = {}  # at the last tick
         self._latest: dict[str, float] = {}  # by channel: what it said
         self._heard: dict[str, int] = {}  # and when, by the engine's clock
         self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
-        self._withheld: dict[str, deque[int]] = {}  # by channel: when something did not go on
+        self._withheld = Withheld()
         self._max_age = {c.name: c.max_age for c in channels}
         self._longest = max(self._max_age.values())
         self._only = self.senders.sender(self.names) if len(self.names) == 1 else \
@@ -179,7 +163,7 @@ class Stream:
         """Note that channels do not go out, because they would not be newer than what did."""
         for name in names:
             self._count(name, NOT_NEWER)
-            self._withheld.setdefault(name, deque(maxlen=MOST)).append(self._clock.now)
+            self._withheld.note(name, self._clock.now)
 
     def _step_back(self, by: int) -> None:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
@@ -191,7 +175,7 @@ class Stream:
             sender.forget(self._clock.now)
         self._heard.clear()
         self._lacks.clear()
-        self._withheld.clear()
+        self._withheld = Withheld()
 
     # ------------------------------------------------------------------- what is known of them
 
@@ -239,17 +223,22 @@ class Stream:
 
     def why_odd(self, name: str) -> Reason | None:
         """Return what is to be said of a channel that is live: of late not all of it went on."""
-        times = self._withheld.get(name)
-        count = sum(self._clock.now - t <= LATELY for t in times) if times else 0
-        return Reason.of('withheld', count=count, seconds=LATELY * 1e-9,
-                         why=NOT_NEWER) if count else None
+        return self._withheld.why(name, NOT_NEWER, self._clock.now)
+
+    def composes(self, name: str) -> bool:
+        """Tell whether messages with a channel are composed, so that a live one does not go on."""
+        sender = self.senders.known(name)
+        return sender is not None and sender.composes
 
     def lag(self, name: str) -> int:
         """Return by how much older than the tick estimates of a channel are wanted."""
         sender = self.senders.known(name)
         if sender is None:
             return 0
-        return sender.lag if sender.composes else sender.lateness(self._period)
+        return sender.lag if sender.composes else self._lateness(sender)
+
+    def _lateness(self, sender: Sender) -> int:
+        return sender.lateness(self._period, 2 * self._longest)
 
     def driver_silence(self, name: str) -> Reason | None:
         """Return for how long a channel's driver has been silent, None when it is not."""
@@ -263,8 +252,13 @@ class Stream:
 
     # --------------------------------------------------------------------------- what goes out
 
-    def fail(self, failed: frozenset[str], passing: frozenset[str]) -> None:
-        """Compose these channels from now on; those passing have failed, too."""
+    def fail(self, failed: frozenset[str], passing: frozenset[str]) -> list[Composition]:
+        """
+        Compose these channels from now on; those passing have failed, too.
+
+        Returns what waited of late drivers of which nothing is failed any more.
+        """
+        waited: list[Composition] = []
         self.passing = passing
         if self.plain and failed:
             lasting = self._clock.lasting()
@@ -278,23 +272,27 @@ class Stream:
             self.failed = failed
             for sender in self.senders.all:
                 sender.carried = 0
-                self._turn(sender)
+                waited += self._turn(sender)
             for channel in self.channels:
                 if channel.name not in failed | passing:
                     channel.why = None
+        return waited
 
-    def _turn(self, sender: Sender) -> None:
-        """Let a sender begin or end to be one whose messages are composed."""
+    def _turn(self, sender: Sender) -> list[Composition]:
+        """Let a sender begin or end to be one whose messages are composed; return the last."""
         failed = not self.failed.isdisjoint(sender.channels)
         if failed and not sender.composes:
-            sender.begin(self._period)
+            sender.begin(self._lateness(sender))
             if sender.offset:
                 self._say('error', Reason.of('clock of its own', topic=self.plan.source,
                                              seconds=sender.offset * 1e-9))
         elif not failed and sender.composes:
+            waited = self._waited(sender, self._clock.now)  # came before that was believed
             sender.end()
+            return waited
+        return []
 
-    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool, recall: Recall,
+    def compose(self, time: int, wanted: Mapping[str, Wanted], at_once: bool,
                 ) -> tuple[list[Composition], dict[str, Reason]]:
         """
         Make of each template a message with these channels replaced, for the time of the tick.
@@ -302,13 +300,13 @@ class Stream:
         All other channels are as they were last heard, NaN when that is too long ago. A sender
         none of whose channels has a value sends nothing; beside others, one without is NaN.
         at_once: may be stamped a little later. The messages of a late driver keep their stamps,
-        for which recall has the estimates. Returns the messages, and by failed channel why there
-        is none.
+        with the estimates of then. Returns the messages, and by failed channel why there is none.
         """
         made: list[Composition] = []
         troubles: dict[str, Reason] = {}
         if not self.active or time == 0:
             return made, troubles
+        self._wanted = wanted
         for sender, names in self.senders.serving(wanted).items():
             stopped = [name for name in names if wanted[name].value is None]
             if len(stopped) == len(names) and not any(
@@ -316,7 +314,7 @@ class Stream:
                 sender.waiting.clear()
                 continue
             if sender.late:
-                made += self._of_late(sender, time, wanted, recall)
+                made += self._of_late(sender, time)
                 continue
             composed = self._compose(sender, time, wanted, at_once)
             if isinstance(composed, Composition):
@@ -355,28 +353,33 @@ class Stream:
         sender.held_up = None
         return self._composition(sender, sender.template, stamp, time, time, wanted)
 
-    def _of_late(self, sender: Sender, tick: int, wanted: Mapping[str, Wanted],
-                 recall: Recall) -> list[Composition]:
+    def _of_late(self, sender: Sender, tick: int) -> list[Composition]:
         """
         Return the messages of a late driver that came since the last tick, with their stamps.
 
         When it has stopped: its last one, for the time that its messages would be of now.
         """
+        made = self._waited(sender, tick)
+        stamp = tick - sender.lag
+        if not made and stamp > sender.newest and sender.has_stopped(self._clock.now):
+            made.append(self._composition(sender, sender.template, stamp, stamp, tick,
+                                          recalled(self._wanted, stamp, self._recall)))
+        return made
+
+    def _waited(self, sender: Sender, tick: int) -> list[Composition]:
+        """Return the messages of a late driver that waited, with the estimates at their stamps."""
         made, newest = [], sender.newest
-        while sender.waiting:
-            token, stamp, values = sender.waiting.popleft()
+        for token, stamp, values in sender.waiting:
             if stamp > newest:
                 newest = stamp
                 made.append(self._composition(
-                    sender, token, stamp, stamp, tick, _recalled(wanted, stamp, recall),
+                    sender, token, stamp, stamp, tick,
+                    recalled(self._wanted, stamp, self._recall),
                     {name: value for name, value in zip(self.names, values)
                      if isinstance(value, float)}))
             else:
                 self._withhold(sender.channels)
-        stamp = tick - sender.lag
-        if not made and stamp > newest and sender.has_stopped(self._clock.now):
-            made.append(self._composition(sender, sender.template, stamp, stamp, tick,
-                                          _recalled(wanted, stamp, recall)))
+        sender.waiting.clear()
         return made
 
     def _composition(self, sender: Sender, template: Token | None, stamp: int, time: int,
@@ -407,18 +410,6 @@ class Stream:
         if math.isfinite(value) and channel.name not in self.passing:
             value = channel.serve(REAL, (), value, self._clock.lasting())
         return value
-
-
-def _recalled(wanted: Mapping[str, Wanted], time: int, recall: Recall) -> dict[str, Wanted]:
-    """Return what is to go out as it was at an earlier time; NaN where that is not known."""
-    found = {}
-    for name, now in wanted.items():
-        found[name] = now
-        if now.fault_set is not None:
-            then = recall(now.fault_set, name, time)
-            found[name] = Wanted(math.nan) if then is None else now._replace(
-                value=then[0], deviation=then[1], interval=then[2])
-    return found
 
 
 def is_absent(value: float | Reason) -> bool:

@@ -85,7 +85,7 @@ class Ticks:
 
     def catch_up(self, lag: int) -> None:
         """Bring the bank to the last tick, less the lag of those who ask for it."""
-        if self._behind != self._wait(lag):
+        if self._behind or lag:
             self._bring(self.time, lag)
 
     def _wait(self, lag: int) -> int:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from rclpy.serialization import deserialize_message, serialize_message
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.node.accessor import Accessor, Mark
+from vsensor_ros.node.accessor import Accessor, compile_accessor, Mark
 from vsensor_ros.node.cdr_walk import (
     BODY,
     Broken,
@@ -65,11 +65,17 @@ def decode(kind: Any, raw: bytes) -> Any:
 class Reader:
     """Reads and writes some numeric fields of serialized messages of one type."""
 
-    def __init__(self, kind: Any, accessors: Sequence[Accessor],
+    def __init__(self, kind: Any, fields: Sequence[str | Accessor],
                  stamps: Sequence[Stamp] | None = None) -> None:
-        """Read these fields of a message class; stamps: its, the first counts; the header's."""
+        """
+        Read fields of a message class: dotted (see `trace`), or compiled, with the marks heeded.
+
+        stamps: where its time stands, the first counts; in its header if not given. Raises
+        BadInput.
+        """
         self.kind = kind
-        self.accessors = tuple(accessors)
+        self.accessors = accessors = tuple(
+            compile_accessor(kind, field) if isinstance(field, str) else field for field in fields)
         self.aligned: list[set[str]] = [set() for _ in accessors]  # of all so far, see `Place`
         self._stamp = next(iter(compile_stamps(kind) if stamps is None else stamps), None)
         self._marks = [[(mark, [LETTERS[steps[-1].type.inner] for steps in mark.looks_at])

@@ -25,7 +25,7 @@ import math
 from typing import Any
 
 from vsensor_ros.node.accessor import Accessor, compile_holder, Mark, Steps
-from vsensor_ros.node.field_path import inner_type, LARGEST_FLOAT, step_into
+from vsensor_ros.node.field_path import inner_type, INTEGER, LARGEST_FLOAT, step_into
 from vsensor_ros.node.room import forget
 from vsensor_ros.node.variance import GEODETIC, has_variance, matrix_of, POSITION
 from vsensor_ros.reason import Reason
@@ -62,6 +62,8 @@ def compile_remover(accessor: Accessor) -> Callable[[Any, float], None]:
     found = [(mark, _compile(mark)) for mark in accessor.marks]
 
     def remove(message: Any, value: float) -> None:
+        if isinstance(accessor.fit(value), Reason):
+            return  # nor will it be written
         for mark, numbers in found:
             there = numbers(message)
             if None not in there and mark.is_on(there, value):
@@ -91,7 +93,7 @@ def _covariance(steps: Steps) -> list[Mark]:
     def remove(message: Any, value: float) -> None:
         holder = find(message)
         numbers = getattr(holder, matrix.field)
-        if numbers[0] < 0:  # all that it covers was disowned
+        if numbers[0] < NOISE:  # all that it covers was disowned
             if matrix.field == POSITION:
                 _forget(holder, GEODETIC)
             else:
@@ -120,16 +122,15 @@ def _limits(steps: Steps) -> list[Mark]:
     depth = next((depth for depth, step in enumerate(steps) if step.field in LIMITS), 0)
     before, step = steps[:depth], steps[depth]
     low, high = LIMITS.get(step.field, ('', ''))
-    if not {low, high} <= step.kind.get_fields_and_field_types().keys():
+    fields = step.kind.get_fields_and_field_types()
+    if fields.get(low) not in LARGEST_FLOAT or fields.get(high) not in LARGEST_FLOAT:
         return []
     find = compile_holder(before)
 
     def remove(message: Any, value: float) -> None:
         holder = find(message)
-        if value < getattr(holder, low):
-            setattr(holder, low, value)
-        elif value > getattr(holder, high):
-            setattr(holder, high, value)
+        setattr(holder, low, min(float(value), getattr(holder, low)))
+        setattr(holder, high, max(float(value), getattr(holder, high)))
 
     limits = tuple((*before, step_into(step.kind, limit)) for limit in (low, high))
     return [Mark(f'beyond {low} and {high}', limits, within, remove)]
@@ -145,7 +146,8 @@ def _fix(steps: Steps) -> list[Mark]:
     fields = last.kind.get_fields_and_field_types()
     inner = fields.get('status', '')
     status: Any = inner_type(inner) if '/' in inner else None
-    if not hasattr(status, 'STATUS_NO_FIX') or last.type.inner not in LARGEST_FLOAT:
+    if not hasattr(status, 'STATUS_NO_FIX') or last.type.inner not in LARGEST_FLOAT or \
+            INTEGER.fullmatch(status.get_fields_and_field_types().get('status', '')) is None:
         return []
     find, was_set = compile_holder(steps[:-1]), _Once()
     no_fix, fix = status.STATUS_NO_FIX, status.STATUS_FIX

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import difflib
+from functools import cache
 import importlib
 import math
 import re
@@ -21,7 +22,7 @@ from ament_index_python.resources import get_resource, get_resources, InvalidRes
 from vsensor_ros.bad_input import BadInput
 
 INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's messages
-NAME_ARRAYS = ('name', 'joint_names')  # fields that give names to the arrays beside them
+NAME_ARRAYS = ('name', 'joint_names', 'interface_names')  # fields that name what is beside them
 LONGEST = 2**16  # elements of an array that a message is made room for; an index lies below
 LARGEST_FLOAT = {'float': 3.4028234663852886e38, 'double': math.inf}
 INTEGER = re.compile(r'(u?)int(8|16|32|64)')
@@ -98,6 +99,7 @@ def field_type(text: str) -> FieldType:
     return FieldType(text, False, False, None)
 
 
+@cache
 def inner_type(inner: str, where: str = 'message type', key: str = 'type') -> Any:
     """Return the message class of a field whose type is itself a message. Raises BadInput."""
     return message_type(inner.replace('/', '/msg/'), where, key)
@@ -118,7 +120,8 @@ def trace(kind: Any, path: str, where: str = 'field', key: str = 'field') -> tup
     for field, element in (step.groups() for step in _STEP.finditer(path)):
         above = None
         if steps:
-            above, inner = kind, steps[-1].type.inner
+            above = kind if steps[-1].name is None else None  # names are used once
+            inner = steps[-1].type.inner
             if '/' not in inner:
                 before = steps[-1].field
                 raise BadInput(where, key, f'{before} of {type_name(kind)} is a {inner}, which '
@@ -160,16 +163,26 @@ def _step(kind: Any, above: Any, field: str, element: str | None, where: str, ke
             raise BadInput(where, key, f'the elements of {field} of {type_name(kind)} have no '
                            'names', f'give an index from 0: {field}[0]')
         return Step(kind, field, split, None, name, names, is_above)
+    if not is_above and _hands_down(split):
+        names = None
     if names is not None and split.is_sequence and not number[1]:
-        raise BadInput(where, key, f'{field}[{element:.20}] may be the element that {names} calls '
-                       f'{element:.20}, or an index', f'write {field}["{element:.20}"] for the '
-                       f'name, {field}[#{element:.20}] for the index')
+        said = element[:20]
+        raise BadInput(where, key, f'{field}[{said}] may be the element that {names} calls '
+                       f'{said}, or an index', f'write {field}[{in_brackets(said)}] for the name, '
+                       f'{field}[#{said}] for the index')
     index = int(number[2][:20])
     size = LONGEST if split.size is None else min(split.size, LONGEST)
     if not 0 <= index < size:
         raise BadInput(where, key, f'{field} of {type_name(kind)} has no element {element:.20}',
                        f'its indices are 0 to {size - 1}' if index >= 0 else 'indices begin at 0')
     return Step(kind, field, split, index, None, names, is_above)
+
+
+def in_brackets(name: str) -> str:
+    """Return how a name is written in brackets: in quotes, where it needs them."""
+    if re.fullmatch(r'[A-Za-z_][^\[\]"\']*', name):
+        return name
+    return f"'{name}'" if '"' in name else f'"{name}"'
 
 
 def name_array(kind: Any) -> str | None:
@@ -183,14 +196,14 @@ def _names_for(kind: Any, above: Any, of: FieldType) -> tuple[str | None, bool]:
     if not of.is_array or of.inner == 'string':
         return None, False
     names = name_array(kind)
-    if names is not None:
-        return (None if _hands_down(of) else names), False
-    names = None if above is None else name_array(above)
-    return names, names is not None
+    if names is None and above is not None:
+        names = name_array(above)
+        return names, names is not None
+    return names, False
 
 
 def _hands_down(of: FieldType) -> bool:
-    """Tell whether names beside an array are those of arrays in its elements, as of a path."""
+    """Tell whether names beside an array may be those of arrays in its elements, as of a path."""
     if '/' not in of.inner:
         return False
     inner = inner_type(of.inner)

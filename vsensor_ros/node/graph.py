@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+import difflib
+from itertools import islice
 from typing import Any
 
 from rclpy.node import Node
@@ -38,6 +40,9 @@ class Complaint:
         return f'{self.topic}: {self.text}'
 
 
+MOST_TOPICS = 1000  # that are looked through for one that may have been meant
+FEW = 3  # that are named
+ALIKE = 0.75  # ratio of difflib
 UNKNOWN = 'a node whose name is not known'
 _NO_NAME = '_NODE_NAME_UNKNOWN_'  # of rmw, until it has discovered it
 
@@ -72,11 +77,30 @@ def complaints(node: Node, ends: Iterable[End]) -> Iterator[Complaint]:
                 yield from _mismatch(end, other, [(other, s) for s in ours])
 
 
-def silent_isolation(topic: str, there: Sequence[str]) -> Iterator[Complaint]:
+def silent_isolation(node: Node, end: End, there: Sequence[str]) -> Iterator[Complaint]:
     """Yield a complaint when nobody says which sensors are faulty; there: who publishes."""
     if not there:
-        yield Complaint(topic, 'nobody publishes here, so no fault will be heard of; start what '
-                        'finds the faults, or correct isolation.topic')
+        like = published_like(node, end.topic, end.type)
+        yield Complaint(end.topic, 'nobody publishes here, so no fault will be heard of; start '
+                        'what finds the faults, or correct isolation.topic' + meant(like))
+
+
+def published_like(node: Node, topic: str, kind: str) -> tuple[str, ...]:
+    """Return what is published with a type on topics with names like that of one; a few."""
+    name, others = topic.casefold(), {}
+    for other, kinds in islice(node.get_topic_names_and_types(), MOST_TOPICS):
+        if kind in kinds and other != topic and node.count_publishers(other):
+            others[other] = other.casefold()
+    same = [other for other, folded in others.items()
+            if folded.rpartition('/')[2] == name.rpartition('/')[2]]
+    return tuple(same[:FEW]) or tuple(
+        other for other, folded in others.items()
+        if folded in difflib.get_close_matches(name, others.values(), FEW, ALIKE))[:FEW]
+
+
+def meant(topics: Sequence[str]) -> str:
+    """Name the topics that may have been meant."""
+    return f' (to {" or ".join(topics)}?)' if topics else ''
 
 
 def listed(nodes: Sequence[str]) -> str:

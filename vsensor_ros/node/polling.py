@@ -18,11 +18,13 @@ from rosgraph_msgs.msg import Clock
 
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.node.private_rclpy import taker
-from vsensor_ros.node.qos import qos_options
+from vsensor_ros.node.qos import DEEPEST, qos_options
 
-DEPTH = 200  # messages kept between two polls, and taken at most in one
-# a best-effort subscription also hears reliable publishers, a volatile one transient-local ones
-LISTEN = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+DEPTH = 200  # messages of a topic that one poll takes at most, so that ticks come in between
+# A best-effort subscription also hears reliable publishers, a volatile one transient-local ones.
+# On a busy machine the loop may not get to run for long: what comes meanwhile must find room.
+LISTEN = QoSProfile(depth=DEEPEST, reliability=ReliabilityPolicy.BEST_EFFORT)
+LISTEN_TO_CLOCK = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
 LISTEN_RELIABLY = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -79,7 +81,8 @@ class SimulatedTime:
     """
 
     def __init__(self, node: Node, group: Polled) -> None:
-        self.subscription = subscribe(node, group, Clock, '/clock', LISTEN, overridden=False)
+        self.subscription = subscribe(node, group, Clock, '/clock', LISTEN_TO_CLOCK,
+                                      overridden=False)
 
     def read(self) -> int | None:
         """Return the newest time [ns], or None when nothing new was said."""

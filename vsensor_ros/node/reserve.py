@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
+from rclpy.node import Node
+
+from vsensor_ros.node.graph import meant, published_like
 from vsensor_ros.node.parameters import Settings
 from vsensor_ros.reason import Reason
 
@@ -15,8 +18,10 @@ class Origin:
     """Where a sensor or a command is heard."""
 
     topic: str
+    type: str
     key: str  # what the parameters that say so begin with
     publishers: tuple[str, ...] | None = None  # nodes that publish there; None: not known yet
+    like: tuple[str, ...] = ()  # topics that are published and may have been meant
 
 
 class Chance(Enum):
@@ -77,10 +82,16 @@ def _mend(origin: Origin, never_heard: bool) -> str:
     if who:
         return f'{who} publishes {there}: check what, and {origin.key}.field'
     nobody = f'nobody publishes {there}: ' if origin.publishers is not None else ''
-    return f'{nobody}start who does, or correct {key}'
+    return f'{nobody}start who does, or correct {key}{meant(origin.like)}'
+
+
+def look_for(node: Node, origin: Origin, there: tuple[str, ...]) -> Origin:
+    """Return an origin with the nodes that publish there, or what may have been meant instead."""
+    return replace(origin, publishers=there, like=() if there else published_like(
+        node, origin.topic, origin.type))
 
 
 def origins_of(settings: Settings) -> dict[str, Origin]:
     """Return where each sensor and each command is heard."""
-    return {**{s.name: Origin(s.input, f'sensors.{s.name}') for s in settings.sensors},
-            **{c.name: Origin(c.topic, f'commands.{c.name}') for c in settings.commands}}
+    return {**{s.name: Origin(s.input, s.type, f'sensors.{s.name}') for s in settings.sensors},
+            **{c.name: Origin(c.topic, c.type, f'commands.{c.name}') for c in settings.commands}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from functools import cache
 import math
 from typing import Any
 
@@ -21,6 +22,7 @@ def fillable(of: FieldType) -> bool:
     return of.inner in LARGEST_FLOAT or '/' in of.inner
 
 
+@cache
 def columns(kind: Any) -> dict[str, FieldType]:
     """Return the arrays of a message class that grow, of things that may be unknown."""
     found = {field: field_type(text)
@@ -73,7 +75,8 @@ def named_arrays(owner: Any, step: Step) -> Iterator[tuple[Any, str, FieldType]]
                 value = getattr(owner, field)
                 holders += value if of.is_array else [value]
     for holder in holders:
-        for field, of in columns(type(holder)).items():
+        kind: Any = type(holder)
+        for field, of in columns(kind).items():
             yield holder, field, of
 
 

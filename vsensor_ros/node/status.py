@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from functools import lru_cache
 import math
 import time
@@ -44,7 +43,7 @@ from vsensor_ros.node.parameters import DIAGNOSTICS
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
-from vsensor_ros.node.reserve import Chance, chance, origins_of, without_reserve
+from vsensor_ros.node.reserve import Chance, chance, look_for, origins_of, without_reserve
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes
@@ -89,10 +88,11 @@ class Reporter:
         self.ends = (*ends_of(replacer.settings),
                      End(node.resolve_topic_name(STATUS), DIAGNOSTICS, True))
         self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
-        self._isolation = replacer.settings.isolation_topic
-        self._inputs = {self._isolation, *(inlet.topic for inlet in replacer.inlets)}
-        self._origins = origins_of(replacer.settings)
-        self._tell = lru_cache(MOST_STRANGERS)(replacer.settings.isolation_names.tell)
+        settings = replacer.settings
+        self._isolation = End(settings.isolation_topic, settings.isolation_type, False)
+        self._inputs = {self._isolation.topic, *(inlet.topic for inlet in replacer.inlets)}
+        self._origins = origins_of(settings)
+        self._tell = lru_cache(MOST_STRANGERS)(settings.isolation_names.tell)
         self.found: tuple[Complaint, ...] = ()  # on the graph, at the last two looks
         self._suspected: set[Complaint] = set()  # at the last look
         self._told: set[Complaint] = set()
@@ -161,9 +161,9 @@ class Reporter:
             sharing[channel.topic].add(channel.name)
         reports = [describe(c, scene, sharing[c.topic]) for c in channels] \
             if state == 'active' else []
+        unknown = [f'{self._isolation.topic}: {self._tell(name)}' for name in strangers]
         loop = describe_loop(engine, state, self._lately.grown(LOOP, engine.left_out, now),
-                             [*self._about(None), *(
-                                 f'{self._isolation}: {self._tell(name)}' for name in strangers)],
+                             [*self._about(None), *unknown],
                              self._lately.grown(THROWN, health.thrown_away, now))
         stamp = self.node.get_clock().now().nanoseconds
         # keeps our names off the isolation's, and those of two robots apart
@@ -236,12 +236,13 @@ class Reporter:
         """Look at the graph; what is wrong at two looks is said: half discovered looks wrong."""
         heard = publishers(self.node, self._inputs)
         seen = set(complaints(self.node, self.ends))
-        seen.update(silent_isolation(self._isolation, heard[self._isolation]))
+        seen.update(silent_isolation(
+            self.node, self._isolation, heard[self._isolation.topic]))
         with self.replacer.lock:
             for inlet in self.replacer.inlets:
                 seen.update(inlet.complaints(heard[inlet.topic]))
                 inlet.watch(len(heard[inlet.topic]) > 1)
-        self._origins = {name: replace(origin, publishers=heard[origin.topic])
+        self._origins = {name: look_for(self.node, origin, heard[origin.topic])
                          for name, origin in self._origins.items()}
         self.found = tuple(sorted(seen & self._suspected, key=str))
         for complaint in [c for c in self.found if c not in self._told][:MOST_LINES]:

@@ -18,15 +18,15 @@ from vsensor_ros.node.accessor import compile_holder, compile_names, owner_of_na
 from vsensor_ros.node.cdr import decode, Reader, Reading
 from vsensor_ros.node.disowned import compile_remover
 from vsensor_ros.node.endpoints import Sensor
-from vsensor_ros.node.polling import DEPTH, LISTEN, Polled, subscribe
+from vsensor_ros.node.polling import LISTEN, Polled, subscribe
 from vsensor_ros.node.private_rclpy import sender
-from vsensor_ros.node.qos import qos_options
+from vsensor_ros.node.qos import DEEPEST, qos_options
 from vsensor_ros.node.room import complete
 from vsensor_ros.node.template import blank, Template
 from vsensor_ros.node.variance import compile_variance
 from vsensor_ros.reason import Reason
 
-SPEAK = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+SPEAK = QoSProfile(depth=DEEPEST, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Topic:
@@ -111,8 +111,9 @@ class Topic:
         """Write what a composition has for a field; return why it cannot be written."""
         accessor = self.sensors[i].accessor
         if isinstance(field, Substitute):
-            set_variance = self._set_variance[i]
-            if set_variance is not None and not math.isnan(field.value):
+            set_variance, there = self._set_variance[i], accessor.get(message)
+            if set_variance is not None and not (  # nothing is supplied: its mark may stay
+                    isinstance(there, Reason) and math.isnan(field.value)):
                 set_variance(message, field.deviation)
             return accessor.put(message, field.value)
         if field is not None:

@@ -28,7 +28,7 @@ TOLD = 12.0             # s in which what others do on the topics must be told
 def wrong_length(context: CaseContext) -> None:
     """Leave the failed sensor's element out of its array, or add some."""
     port = context.tested.wiring.ports[context.target]
-    match = re.fullmatch(r'(?:(.+)\.)?(\w+)\[\w+\]', port.field.path)
+    match = re.fullmatch(r'(?:(.+)\.)?(\w+)\[[^\[\]]+\]', port.field.path)
     if match is None:
         raise Skipped(f'{port.field.path} is no element of an array')
     count = 0
