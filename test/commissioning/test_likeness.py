@@ -2,7 +2,7 @@
 
 import pytest
 
-from vsensor_ros.commissioning.likeness import clean, nearest, nearest_topic, words_of
+from vsensor_ros.commissioning.likeness import bracketed, clean, nearest, nearest_topic, words_of
 from vsensor_ros.commissioning.units import one_spelling, units_of
 
 
@@ -49,3 +49,17 @@ def test_units_in_one_spelling(written, unit):
 def test_units_of_fields():
     assert units_of('sensor_msgs/Range', 'range') == ('m',)
     assert units_of('std_msgs/Float64', 'data') == ()
+
+
+@pytest.mark.parametrize('name', ['elbow', 'arm/elbow.left', 'a b', '1', '-2', '#3', 'a[0]',
+                                  "it's", 'the "one"'])
+def test_a_name_of_any_characters_is_that_joint_in_the_field(name):
+    from sensor_msgs.msg import JointState
+
+    from vsensor_ros.commissioning.candidates import leaves
+    from vsensor_ros.node.accessor import compile_accessor, trace
+    assert trace(JointState, f'position{bracketed(name)}')[-1].name == name
+    message = JointState(name=['other', name], position=[1.0, 2.0])
+    leaf = list(leaves(message))[-1]
+    assert leaf.element == name and leaf.units == ('rad', 'm')
+    assert compile_accessor(JointState, leaf.path).get(message) == leaf.value == 2.0

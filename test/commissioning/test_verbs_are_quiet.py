@@ -6,11 +6,11 @@ import subprocess
 import sys
 import time
 
+from geometry_msgs.msg import Twist
 import pytest
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, Range
-from std_msgs.msg import Float64
 import yaml
 
 from vsensor_ros.commissioning.silent_node import SilentNode
@@ -24,8 +24,7 @@ def tanks(robot, designs, tmp_path):
     """Play the three tanks under /robot1; return what writes their parameter file."""
     for name in ('level2', 'level3'):
         robot.drive('gauges', Range, f'/robot1/{name}_raw', lambda t: Range(range=2.0))
-    for name in ('u1', 'u2'):
-        robot.drive('pumps', Float64, f'/robot1/{name}', lambda t: Float64(data=0.5))
+    robot.drive('pumps', Twist, '/robot1/pumps', lambda t: Twist())  # both commands in one
     robot.isolate('/robot1/isolation', ('y1', 'y2'))
 
     def write(node):
@@ -34,8 +33,8 @@ def tanks(robot, designs, tmp_path):
             'design_file': str(designs['three_tank']), 'isolation': {'topic': 'isolation'},
             'sensors': {s: {'topic': t, 'type': 'sensor_msgs/msg/Range', 'field': 'range'}
                         for s, t in (('y1', 'level2'), ('y2', 'level3'))},
-            'commands': {u: {'topic': u, 'type': 'std_msgs/msg/Float64', 'field': 'data'}
-                         for u in ('u1', 'u2')}}}}))
+            'commands': {u: {'topic': 'pumps', 'type': 'geometry_msgs/msg/Twist', 'field': f}
+                         for u, f in (('u1', 'linear.x'), ('u2', 'angular.z'))}}}}))
         return path
     return write
 
@@ -52,6 +51,7 @@ def test_relative_names_are_those_of_the_namespace(robot, tanks, node, ros_args,
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith(f'/robot1/replacer of {path}, listened for ')
     assert done.stdout.splitlines()[0].endswith(f' s{start}')
+    assert all(f'{field}  m^3/s' in done.stdout for field in ('linear.x ', 'angular.z'))
     assert 'all would work: y1, y2 can be replaced' in done.stdout.splitlines()[-1]
 
 

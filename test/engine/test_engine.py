@@ -248,6 +248,18 @@ def test_an_estimate_that_is_too_uncertain_is_no_reserve(bench):
     assert m.state('y2').reserve.code == 'too uncertain' and m.state('y1').reserve is None
 
 
+def test_who_would_speak_and_how_well_is_told_before_the_fault(bench):
+    m = Machine(bench)
+    assert m.engine.reserve('y2') is None
+    m.step(1.5, 3.0, 20)
+    fault_set, deviation = m.engine.reserve('y2')
+    m.isolate('y2')
+    m.step(1.5, 99.0)
+    assert (m.state('y2').fault_set, m.state('y2').source) == (fault_set, 'virtual')
+    assert m.state('y2').deviation == pytest.approx(deviation, rel=0.1)
+    assert m.engine.reserve('y1') is None  # for both nothing is designed
+
+
 def test_to_look_changes_nothing(bench):
     looked, other = Machine(bench), Machine(bench)
     for m in (looked, other):

@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.node import Node
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.commissioning.likeness import bracketed
 from vsensor_ros.commissioning.neighbours import listeners, Neighbour, publishers
 from vsensor_ros.commissioning.ranking import Candidate
 from vsensor_ros.commissioning.units import units_of
@@ -175,8 +176,9 @@ def _leaves(message: Any, place: str, units: tuple[str, ...], element: str,
         for i, item in enumerate(list(value)[:MOST_ELEMENTS]):
             called = names[i] if names is not None and i < len(names) else ''
             if names is None or called:
-                yield from _within(item, of.inner, f'{path}[{called or i}]', own,
-                                   called or element, depth)
+                yield from _within(item, of.inner, path + (bracketed(called) if called else
+                                                           f'[{i}]'), own, called or element,
+                                   depth)
 
 
 def _within(value: Any, inner: str, path: str, units: tuple[str, ...], element: str,

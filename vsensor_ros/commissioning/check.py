@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 import sys
 import time
-from typing import Any
 
 from rclpy.node import Node
 
@@ -41,6 +40,7 @@ from vsensor_ros.commissioning.silent_node import (
     SilentNode,
 )
 from vsensor_ros.lab.parameter_file import read_parameters
+from vsensor_ros.node.cdr import Reader
 from vsensor_ros.node.parameters import check_files, Command, read, Refused, Sensor, Settings
 from vsensor_ros.node.polling import LISTEN, Polled
 from vsensor_ros.node.private_rclpy import lacking, Waiting
@@ -93,9 +93,8 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
     replacer = Replacer(node, settings)
     group = Polled()
     uses = uses_of(settings)
-    ears = {(use.topic, use.role): Ear(
-        node, group, _kind(settings, use), use.topic, LISTEN, list(dict.fromkeys(
-            use.channels.values()))) for use in uses if use.role in (INPUT, COMMAND)}
+    ears = {(use.topic, use.role): Ear(node, group, use.topic, LISTEN, _readers(replacer, use))
+            for use in uses if use.role in (INPUT, COMMAND)}
     _hear(replacer, ears.values(), seconds)
     seen = {(use.topic, use.role): _seen(node, replacer, use, ears.get((use.topic, use.role)))
             for use in uses}
@@ -144,11 +143,13 @@ def uses_of(settings: Settings) -> list[Use]:
     return [*uses.values(), isolation]
 
 
-def _kind(settings: Settings, use: Use) -> Any:
-    """Return the message class of a topic that is heard."""
-    return next(kind for name, kind in (
-        *((s.name, s.kind) for s in settings.sensors),
-        *((c.name, c.kind) for c in settings.commands)) if name in use.channels)
+def _readers(replacer: Replacer, use: Use) -> list[Reader]:
+    """Return what the replacer itself reads a topic with."""
+    if use.role == INPUT:
+        return [topic.reader for topic in replacer.topics if topic.plan.source == use.topic]
+    inlets = replacer.inlets[len(replacer.topics):]  # one a command
+    return [inlet.reader for inlet, command in zip(inlets, replacer.settings.commands)
+            if command.name in use.channels]
 
 
 def _hear(replacer: Replacer, ears: Collection[Ear], seconds: float) -> None:

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -79,13 +78,14 @@ class Heard:
 class Ear:
     """Listens to one topic."""
 
-    def __init__(self, node: Node, group: Polled, kind: Any, topic: str, qos: QoSProfile,
-                 paths: Sequence[str]) -> None:
-        """Subscribe as the replacer would; paths: the fields to look at."""
-        self.kind, self.topic = kind, topic
-        self.heard = Heard({path: FieldHeard() for path in paths})
+    def __init__(self, node: Node, group: Polled, topic: str, qos: QoSProfile,
+                 readers: Sequence[Reader]) -> None:
+        """Subscribe as the replacer would; readers: what is to be looked at, of one type."""
+        self.kind = kind = readers[0].kind
+        self.heard = Heard({accessor.path: FieldHeard() for reader in readers
+                            for accessor in reader.accessors})
         self.subscription = subscribe(node, group, kind, topic, qos)
-        self._reader = Reader(kind, paths)
+        self._readers = readers
         self._stamped = kind.get_fields_and_field_types().get('header') == 'std_msgs/Header'
         self._number = -1  # of the last message, by its publisher's count
         self._left = LOOKED_AT
@@ -95,16 +95,18 @@ class Ear:
         for raw, info in drain(self.subscription):
             received = info['received_timestamp']
             self._count(received * 1e-9, info.get('publication_sequence_number'))
-            reading = self._reader.read(raw)
-            if reading is None:
+            readings = [reading for reader in self._readers
+                        if (reading := reader.read(raw)) is not None]
+            if not readings:
                 self.heard.unreadable += 1
                 continue
-            if reading.stamp is not None:
+            if readings[0].stamp is not None:
                 now = received if simulated is None else simulated
-                self.heard.ages.append((now - reading.stamp) * 1e-9)
+                self.heard.ages.append((now - readings[0].stamp) * 1e-9)
             elif self._stamped:
                 self.heard.unstamped += 1
-            self._look(reading, raw)
+            for reader, reading in zip(self._readers, readings):
+                self._look(reader, reading, raw)
 
     def _count(self, at: float, number: int | None) -> None:
         heard = self.heard
@@ -118,14 +120,14 @@ class Ear:
             heard.returns += number <= self._number
             self._number = number
 
-    def _look(self, reading: Reading, raw: bytes) -> None:
+    def _look(self, reader: Reader, reading: Reading, raw: bytes) -> None:
         lacking = False
-        for path, value in zip(self.heard.fields, reading.values):
-            self.heard.fields[path].take(value)
+        for accessor, value in zip(reader.accessors, reading.values):
+            self.heard.fields[accessor.path].take(value)
             lacking = lacking or isinstance(value, Reason)
         if lacking and self._left:
             self._left -= 1
             message = decode(self.kind, raw)
-            for accessor in self._reader.accessors:
+            for accessor in reader.accessors:
                 for name in list(accessor.names(message))[:MOST_NAMES - len(self.heard.names)]:
                     self.heard.names[name] = None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import math
 from typing import Protocol
 
-from vsensor_ros.commissioning.likeness import nearest, nearest_topic
+from vsensor_ros.commissioning.likeness import bracketed, nearest, nearest_topic
 from vsensor_ros.reason import Reason
 
 NOTE, WARN, FAIL = range(3)
@@ -231,9 +231,9 @@ def _meant(path: str, names: Iterable[str]) -> str:
     there = list(names)
     if not bracket or not there:
         return 'name a field that its messages have'
-    near = nearest(element.rstrip(']'), there)
+    near = nearest(element.strip("]'\""), there)
     if near is not None:
-        return f'did you mean {start}[{near}]?'
+        return f'did you mean {start}{bracketed(near)}?'
     more = f' and {len(there) - MOST_NAMED} more' if len(there) > MOST_NAMED else ''
     return f'there are {", ".join(there[:MOST_NAMED])}{more}'
 

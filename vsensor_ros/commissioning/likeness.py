@@ -36,6 +36,13 @@ def nearest_topic(topic: str, types: Mapping[str, str], wanted: str) -> str | No
         nearest(topic, types)
 
 
+def bracketed(name: str) -> str:
+    """Return the name of an element as it stands in a field: in quotes where it needs them."""
+    if re.fullmatch(r"""[^\[\]"'#0-9-][^\[\]"']*""", name):
+        return f'[{name}]'
+    return f"['{name}']" if '"' in name else f'["{name}"]'
+
+
 def clean(text: str) -> str:
     """Return a text without what would steer a terminal or end a line: it comes from outside."""
     return ''.join(c if c.isprintable() else '?' for c in text)
