@@ -43,7 +43,7 @@ def assert_numbers(rows):
 def test_processes_run_in_turns_and_failed_sensors_are_replaced(monkeypatch):
     monkeypatch.setattr(rigs, 'SETTLE', 0.1)
     monkeypatch.setattr(jitter, 'SETTLE', 0.1)
-    load = Load('Range', 2, 50.0)
+    load = Load('Range', 2, 50.0, 2)
     told = []
     with rigs.set_up(load) as rig:
         assert rig.apart == [0]  # each reads the other
@@ -158,7 +158,7 @@ def test_a_part_alone(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize('name', KINDS)
 def test_a_replaced_message_is_known_by_its_stamp(name):
-    load = Load(name)
+    load = Load(name, burst=50)
     raw = load.template(2.5)
     load.sign(raw, STAMP, 3 * COUNTED + 5)
     stamp, replaced = load.read(bytes(raw))
