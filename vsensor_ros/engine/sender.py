@@ -29,7 +29,7 @@ ENOUGH = 8  # of them that it takes to tell that a driver is late
 INCREASING = 0.75  # of their stamps that must be newer than the one before
 LATE = 2  # intervals between its messages, and periods, above which a driver is late
 MISSING = 2.5  # times its longest recent silence after which a late driver has stopped
-PAUSE = 100_000_000  # ns for which it may say nothing on a busy computer, at least
+PAUSE = 150_000_000  # ns for which it may say nothing on a busy computer, at least
 WAITING = 20  # messages of a late driver between two ticks that are kept, at most
 
 
