@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 import yaml
 
+pytestmark = pytest.mark.slow  # a verb listens for seconds, as a process
 RAW, OUT, VOLTAGE = '/servo/joint_states_raw', '/servo/joint_states', '/servo/voltage'
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -18,6 +18,8 @@ from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.node.parameters import read
 from vsensor_ros.node.replacer import Replacer
 
+pytestmark = pytest.mark.slow  # a verb listens for seconds, as a process
+
 
 @pytest.fixture
 def tanks(robot, designs, tmp_path):

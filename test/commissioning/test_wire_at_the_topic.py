@@ -18,6 +18,7 @@ import yaml
 
 from vsensor_ros.lab.process import die_with_parent
 
+pytestmark = pytest.mark.slow  # a verb listens for seconds, as a process
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

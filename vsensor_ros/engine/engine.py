@@ -252,6 +252,8 @@ class Engine:
     def _lag(self) -> int | None:
         """Return by how much older than a tick its estimates are wanted; None: nobody asks."""
         names = self._switch.faulty | self._switch.forced
+        if not names:
+            return None
         return min((stream.lag(name) for stream in self._streams for name in stream.names
                     if name in names), default=None)
 

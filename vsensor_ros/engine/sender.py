@@ -62,6 +62,7 @@ class Sender:
     newest: int = NEVER  # believed stamp that went out, live or composed
     ahead: int = AHEAD  # ns by which its stamps may lie ahead of the engine's clock
     doubted: tuple[int, int, object] = (0, 0, None)  # see `_believes`
+    far: tuple[int, int] = (0, NEVER)  # by how much the last stamp that was not lay ahead; when
     # while a channel of it is failed
     composes: bool = False
     late: bool = False  # its messages keep their own stamps
@@ -129,6 +130,7 @@ class Sender:
         before = max(self.newest, stamp)
         far = stamp > now + self.ahead or stamp < before - CLOCKS_APART
         if not now or far and not self._believes(stamp, now):
+            self.far = stamp - now, now
             return 0  # 0: no time is known by which it could be judged
         self.recent.append((stamp, now))
         self.newest = max(self.newest, stamp)
@@ -138,6 +140,7 @@ class Sender:
               active: bool) -> None:
         """Note a message that does not go on as it came; active: what is composed of it does."""
         if not now or stamp > now + self.ahead:
+            self.far = stamp - now, now
             return
         self.recent.append((stamp, now))
         if stamp > self.newest - CLOCKS_APART:
@@ -164,6 +167,11 @@ class Sender:
         if stamp > now + self.ahead:
             self.ahead = lead + AHEAD
         return True
+
+    def lead(self) -> int:
+        """Return by how much its last stamp lay ahead of the clock."""
+        stamp, came = self.recent[-1] if self.recent else (NEVER, NEVER)
+        return self.far[0] if self.far[1] >= came else stamp - came
 
     def lateness(self, period: int, most: int) -> int:
         """

@@ -198,8 +198,8 @@ class Stream:
         return None if heard is None else self._clock.now - heard
 
     def ahead(self, name: str) -> int:
-        """Return how far [ns] a channel's stamps are ahead of the clock, as it sends them."""
-        return self.senders.of(name).offset
+        """Return how far [ns] a channel's last stamp was ahead of the clock."""
+        return self.senders.of(name).lead()
 
     def why_silent(self, name: str) -> Reason | None:
         """Return why a healthy channel is not to be had live, or None when it is."""
