@@ -126,7 +126,9 @@ class Rig:
     def __init__(self, parameters, sim_time=True, active=True, clock=True):
         self.context = Context()
         self.context.init()
-        values = {'use_sim_time': sim_time, **parameters}
+        # a busy machine makes no driver silent, and no jump of the system's clock
+        patient = {} if sim_time else {'max_age': 60.0, 'max_jump': 60.0}
+        values = {'use_sim_time': sim_time, **patient, **parameters}
         node = Node('replacer', context=self.context,
                     parameter_overrides=[Parameter(k, value=v) for k, v in values.items()],
                     automatically_declare_parameters_from_overrides=True)
