@@ -173,3 +173,19 @@ def test_one_stamp_from_far_away_harms_no_other(make_rig):
     for k, lead in enumerate([-5 * MS, 3600 * SECOND, -5 * MS, -3600 * SECOND, -5 * MS]):
         r.take(lead, 10 * k * MS)
     assert r.times == [-5 * MS, 10 * MS, 15 * MS, 30 * MS, 35 * MS]
+
+
+def test_the_clock_may_have_been_looked_at_long_before(bench):
+    r = Rig(bench)
+    r.take(None)
+    # more than the bank accepts ahead of its clock: the loop did not get to look
+    r.commands.take('u', 2.0, None, NOW + 400 * MS)
+    assert r.times == [0, 400 * MS] and not r.intake.counts()
+
+
+def test_a_command_that_is_stamped_no_more_has_no_lead(bench):
+    r = Rig(bench)
+    r.take(20 * MS)
+    r.take(None, arrival=10 * MS)
+    state, = r.commands.states({})
+    assert state.lead != state.lead  # NaN

@@ -264,3 +264,9 @@ def test_stamps():
         put_stamp(message, stamp)
         assert get_stamp(message) == stamp
     assert has_stamp(Range) and not has_stamp(Float64)
+
+
+def test_a_name_that_its_driver_says_twice_is_written_wherever_it_stands():
+    message = JointState(name=['a', 'a', 'b', 'a'], position=[99.0, 99.0, 2.0])
+    assert compile_accessor(JointState, 'position[a]').put(message, 1.5) is None
+    assert list(message.position) == [1.5, 1.5, 2.0]

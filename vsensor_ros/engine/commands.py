@@ -78,9 +78,13 @@ class Commands:
             heard.lead = lead
         elif not (time := stamp or arrival):
             return  # simulated time has not begun
+        else:
+            heard.lead = None
         if time < heard.time:
             time = heard.time
-        heard.unused = self._bank.take(name, time, value, self._clock.now)
+        # the clock was looked at a while ago when all is busy
+        now = max(self._clock.now, 0 if self._clock.simulated else received)
+        heard.unused = self._bank.take(name, time, value, now)
         if heard.unused is None:
             heard.time = time if arrival else 0
         else:

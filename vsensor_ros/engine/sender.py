@@ -28,8 +28,6 @@ RECENT = 32  # messages whose stamps are remembered
 ENOUGH = 8  # of them that it takes to tell that a driver is late
 INCREASING = 0.75  # of their stamps that must be newer than the one before
 LATE = 2  # intervals between its messages, and periods, above which a driver is late
-MISSING = 2.5  # times its longest recent silence after which a late driver has stopped
-PAUSE = 150_000_000  # ns for which it may say nothing on a busy computer, at least
 WAITING = 20  # messages of a late driver between two ticks that are kept, at most
 
 
@@ -207,11 +205,6 @@ class Sender:
         """Note that no channel is failed any more."""
         self.composes, self.late, self.lag = False, False, 0
         self.waiting.clear()
-
-    def has_stopped(self, now: int) -> bool:
-        """Tell whether a late driver says nothing any more: for longer than is usual for it."""
-        gap = max((b - a for (_, a), (_, b) in pairwise(self.recent)), default=0)
-        return now - self.spoke > max(MISSING * gap, PAUSE)
 
     def stamp_for(self, time: int, at_once: bool) -> int:
         """

@@ -357,11 +357,13 @@ class Stream:
         """
         Return the messages of a late driver that came since the last tick, with their stamps.
 
-        When it has stopped: its last one, for the time that its messages would be of now.
+        When it has said nothing for max_age: its last one, for the time that its messages would be
+        of now. Sooner, what is live in that one would get a stamp that it does not have.
         """
         made = self._waited(sender, tick)
         stamp = tick - sender.lag
-        if not made and stamp > sender.newest and sender.has_stopped(self._clock.now):
+        if not made and stamp > sender.newest and \
+                self._clock.now - sender.spoke > self._longest:
             made.append(self._composition(sender, sender.template, stamp, stamp, tick,
                                           recalled(self._wanted, stamp, self._recall)))
         return made

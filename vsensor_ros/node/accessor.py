@@ -189,6 +189,13 @@ def _leaf(path: str, steps: Sequence[Step]) -> tuple[
     find, last = compile_holder(steps[:-1]), steps[-1]
     field = last.field
     index = _compile_index(steps) if last.type.is_array else None
+    names = None if last.name is None else compile_names(steps)
+
+    def places(message: Any) -> list[int]:
+        """Return where the element stands: more than once if its driver says a name twice."""
+        if names is not None:
+            return [i for i, name in enumerate(names(message) or ()) if name == last.name]
+        return [] if index is None else [index(message)]
     rooms = [(compile_holder(steps[:depth + 1]), _compile_room(steps[:depth + 1]))
              for depth, step in enumerate(steps) if step.type.is_array]
     missing, too_short = Reason.of(NOT_THERE, field=path), Reason.of(TOO_SHORT, field=path)
@@ -223,7 +230,10 @@ def _leaf(path: str, steps: Sequence[Step]) -> tuple[
         if index is None:
             setattr(holder, field, fitted)
         else:
-            getattr(holder, field)[index(message)] = fitted
+            array = getattr(holder, field)
+            for i in places(message):
+                if i < len(array):
+                    array[i] = fitted
         return None
 
     return get, put, fit
