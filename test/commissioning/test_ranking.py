@@ -31,7 +31,8 @@ def number(topic, **more):
 
 
 def gauge(topic):
-    return Candidate(topic, 'sensor_msgs/msg/Range', 'range', ('m',), **MEASURED)
+    return Candidate(topic, 'sensor_msgs/msg/Range', 'range', ('m',),
+                     moved=topic.endswith('_raw'), **MEASURED)
 
 
 def sensor(name, unit='', *hints):

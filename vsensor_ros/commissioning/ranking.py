@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import re
 
 from vsensor_ros.commissioning.likeness import words_of
+from vsensor_ros.commissioning.routes import RAW
 from vsensor_ros.commissioning.units import one_spelling
 
 SURE = 1.0  # points by which the best must be ahead of the next, to be taken unasked
@@ -19,7 +20,7 @@ SURE = 1.0  # points by which the best must be ahead of the next, to be taken un
 SAME_UNIT, OTHER_MEANING = 3.0, 1.0  # the likeliest unit of the field; one that it may be in, too
 NAMED, WORD, MEANING = 4.0, 2.0, 1.0  # the whole name; a word of it; a word that means the same
 AXIS = 1.5  # the name says an axis, and it is this one; else it is taken off
-RAW, HEARD_BY, COMMANDED = 1.0, 1.0, 1.0
+MOVED, HEARD_BY, COMMANDED = 1.0, 1.0, 1.0
 SILENT, EMPTY, MOVES = -1.0, -3.0, 0.5
 MEASURING = 1.0  # a message of sensor_msgs: for sensors; taken off for commands
 COUNTS = -1.0  # a whole number
@@ -70,6 +71,7 @@ class Candidate:
     rate: float = 0.0  # Hz
     published: bool = True
     listened: bool = False  # somebody hears the topic
+    moved: bool = False  # the driver is on the topic + _raw already
 
     @property
     def moves(self) -> bool:
@@ -169,7 +171,7 @@ def _by_unit(wanted: Wanted, candidate: Candidate) -> Points | None:
 
 
 def _by_name(wanted: Wanted, candidate: Candidate) -> list[Points]:
-    last = candidate.topic.removesuffix('_raw').rpartition('/')[2]
+    last = candidate.topic.removesuffix(RAW).rpartition('/')[2]
     for name in (wanted.name, *wanted.hints):
         if name.casefold() in (last.casefold(), candidate.element.casefold()):
             return [(NAMED, f'called {name}')]
@@ -219,8 +221,8 @@ def _by_place(wanted: Wanted, candidate: Candidate) -> list[Points]:
     else:
         if commanding:
             points.append((-COMMANDED, ''))
-        if candidate.topic.endswith('_raw'):
-            points.append((RAW, 'raw'))
+        if candidate.moved:
+            points.append((MOVED, 'raw'))
         if measuring:
             points.append((MEASURING, 'measured'))
     return points

@@ -15,11 +15,11 @@ import sys
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
-from vsensor_ros.commissioning.candidates import look_around, Surroundings
+from vsensor_ros.commissioning.candidates import look_around
 from vsensor_ros.commissioning.likeness import clean
 from vsensor_ros.commissioning.ranking import assign, Candidate, Proposal, sure, Taken, Wanted
 from vsensor_ros.commissioning.silent_node import open_context, open_silent, own_name
-from vsensor_ros.commissioning.wired_file import Choice, RAW, Wired, wired_text
+from vsensor_ros.commissioning.wired_file import Choice, Wired, wired_text
 from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.whole_file import write_whole
@@ -48,11 +48,11 @@ def wire(source: Path, design: Path | None, output: Path, yes: bool, force: bool
     _may_write(output, yes, force)
     with open_context(ros_args) as context, open_silent(context, own_name('wire')) as node:
         around = look_around(node, seconds)
-    candidates = sources(around)
+    candidates = around.candidates()
     if not candidates:
         raise BadInput('graph', '', 'there is no topic with numbers', 'start the drivers, and '
                        'look whether ROS_DOMAIN_ID is theirs')
-    choices = choose(task.wanted, candidates, around, None if yes else ask)
+    choices = choose(task.wanted, candidates, None if yes else ask)
     wired = Wired(task.plant, str(task.source), task.design, output, choices, around)
     try:
         write_whole(output, wired_text(wired))
@@ -106,26 +106,11 @@ def _may_write(output: Path, yes: bool, force: bool) -> None:
         raise BadInput(output, '', 'was left as it is', 'name another with --output')
 
 
-def sources(around: Surroundings) -> list[Candidate]:
-    """Return the candidates of all topics but those that a replacer says."""
-    return [c for name, topic in around.topics.items()
-            if not (topic.publishers and all(
-                p.node in around.replacers for p in topic.publishers))
-            and not _answered(name, around)
-            for c in topic.candidates()]
-
-
-def _answered(name: str, around: Surroundings) -> bool:
-    """Tell whether this is where a replacer is to speak: its driver is on the topic + _raw."""
-    raw, topic = around.topics.get(f'{name}{RAW}'), around.topics[name]
-    return raw is not None and bool(raw.publishers) and not topic.publishers
-
-
 Ask = Callable[[Wanted, Sequence[Proposal]], Proposal | None]
 
 
-def choose(wanted: Iterable[Wanted], candidates: Sequence[Candidate], around: Surroundings,
-           ask: Ask | None) -> tuple[Choice, ...]:
+def choose(wanted: Iterable[Wanted], candidates: Sequence[Candidate], ask: Ask | None,
+           ) -> tuple[Choice, ...]:
     """Choose for each sensor and command; ask: is asked where it is not sure; None: take it."""
     wanted = tuple(wanted)
     ranked, taken = assign(wanted, candidates), Taken()
@@ -199,8 +184,8 @@ def _tell(wired: Wired) -> None:
     print(f'written to {wired.output}')
     if wired.remappings:
         print('start these drivers with:')
-        for node, topic in wired.remappings:
-            print(clean(f'  {node}: --ros-args -r {topic}:={topic}{RAW}'))
+        for remapping in wired.remappings:
+            print(clean(f'  {remapping}'))
     path = os.path.relpath(wired.output)
     if not wired.design.exists():
         print(f'then: ros2 run vsensor_ros designer {wired.source} -o {wired.design}')

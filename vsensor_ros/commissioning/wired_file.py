@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from pathlib import Path
 
@@ -12,9 +13,9 @@ import yaml
 from vsensor_ros.commissioning.candidates import Surroundings
 from vsensor_ros.commissioning.likeness import clean
 from vsensor_ros.commissioning.ranking import Proposal, Wanted
+from vsensor_ros.commissioning.routes import RAW, Route, routes
 from vsensor_ros.node.known import GENERAL
 
-RAW = '_raw'  # what drivers' topics end in
 OTHERS = 3  # candidates that are named beside one that is not sure
 
 
@@ -39,19 +40,22 @@ class Wired:
     choices: tuple[Choice, ...]
     around: Surroundings
 
-    @property
-    def remappings(self) -> list[tuple[str, str]]:
-        """The drivers that must move, with the topic that they are to leave."""
-        topics = dict.fromkeys(c.proposal.candidate.topic for c in self.choices
-                               if c.proposal is not None and not c.wanted.command)
-        return [(p, topic) for topic in topics if not self.is_raw(topic)
-                for p in dict.fromkeys(n.node for n in self.around.topics[topic].publishers)]
+    @cached_property
+    def routes(self) -> dict[str, Route]:
+        """Where drivers publish and the replacer speaks, by the topic that was chosen."""
+        chosen = [(c.proposal.candidate, c.wanted.command) for c in self.choices if c.proposal]
+        sensors = [candidate for candidate, command in chosen if not command]
+        return routes([c.topic for c in sensors], [c.topic for c in sensors if c.moved],
+                      {*self.around.published, *(c.topic for c, command in chosen if command)})
 
-    def is_raw(self, topic: str) -> bool:
-        """Tell whether a driver publishes on the input already, and only a replacer before it."""
-        served = self.around.topics.get(topic.removesuffix(RAW))
-        return topic.endswith(RAW) and (served is None or all(
-            p.node in self.around.replacers for p in served.publishers))
+    @property
+    def remappings(self) -> list[str]:
+        """The drivers that must move, each with how."""
+        return [f'{driver}: --ros-args -r {topic}:={route.input}' + (
+                    '' if route.plain else f'    # {topic}{RAW} is taken')
+                for topic, route in self.routes.items() if topic != route.input
+                for driver in dict.fromkeys(
+                    n.node for n in self.around.topics[topic].publishers)]
 
 
 def wired_text(wired: Wired) -> str:
@@ -67,8 +71,8 @@ def _lines(wired: Wired) -> Iterator[str]:
     if wired.remappings:
         yield '#'
         yield '# Start these drivers with a remapping, so that the replacer speaks in their place:'
-        for node, topic in wired.remappings:
-            yield f'#   {node}: --ros-args -r {topic}:={topic}{RAW}'
+        for remapping in wired.remappings:
+            yield f'#   {remapping}'
     yield '/**:'
     yield '  ros__parameters:'
     if not wired.design.exists():
@@ -111,14 +115,13 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
         others = ' or '.join(f'{p.candidate.topic} {p.candidate.field}'
                              for p in choice.others[:OTHERS])
         yield '        # NOT SURE' + (f': may be {others}' if others else '')
-    raw = not wanted.command and wired.is_raw(candidate.topic)
-    topic = candidate.topic.removesuffix(RAW) if raw else candidate.topic
-    yield f'        topic: {_quoted(topic)}'
+    route = None if wanted.command else wired.routes[candidate.topic]
+    yield f'        topic: {_quoted(candidate.topic if route is None else route.output)}'
     yield f'        type: {candidate.type}'
     yield f'        field: {_quoted(candidate.field)}    # {_sound(proposal)}'
-    if wanted.command:
+    if route is None:
         return
-    yield f'        input: {_quoted(candidate.topic if raw else candidate.topic + RAW)}'
+    yield f'        input: {_quoted(route.input)}'
     if candidate.rate and 3.0 / candidate.rate > GENERAL['max_age'].default:
         yield (f'        max_age: {math.ceil(4.0 / candidate.rate)}.0    # [s] it comes '
                f'every {1.0 / candidate.rate:.2g} s')
