@@ -6,7 +6,7 @@ The driver of a sensor goes on publishing, on the topic + _raw; the replacer spe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -17,9 +17,9 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.commissioning.candidates import look_around
 from vsensor_ros.commissioning.likeness import clean
-from vsensor_ros.commissioning.ranking import assign, Candidate, Proposal, sure, Taken, Wanted
+from vsensor_ros.commissioning.ranking import assign, Candidate, Choice, Proposal, Wanted
 from vsensor_ros.commissioning.silent_node import open_context, open_silent, own_name
-from vsensor_ros.commissioning.wired_file import Choice, Wired, wired_text
+from vsensor_ros.commissioning.wired_file import Wired, wired_text
 from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.whole_file import write_whole
@@ -102,61 +102,55 @@ def _may_write(output: Path, yes: bool, force: bool) -> None:
         return
     if yes or not sys.stdin.isatty():
         raise BadInput(output, '', 'is there already', 'name another with --output, or --force')
-    if _answer(f'{output} is there already. Overwrite it? [y/N] ').casefold() not in ('y', 'yes'):
+    try:
+        answer = input(f'{output} is there already. Overwrite it? [y/N] ')
+    except EOFError:
+        answer = ''
+    if answer.strip().casefold() not in ('y', 'yes'):
         raise BadInput(output, '', 'was left as it is', 'name another with --output')
 
 
-Ask = Callable[[Wanted, Sequence[Proposal]], Proposal | None]
+Ask = Callable[[Choice], Proposal | None]
 
 
-def choose(wanted: Iterable[Wanted], candidates: Sequence[Candidate], ask: Ask | None,
+def choose(wanted: Sequence[Wanted], candidates: Sequence[Candidate], ask: Ask | None,
            ) -> tuple[Choice, ...]:
-    """Choose for each sensor and command; ask: is asked where it is not sure; None: take it."""
-    wanted = tuple(wanted)
-    ranked, taken = assign(wanted, candidates), Taken()
-    for ranks in ranked.values():
-        if sure(ranks):
-            taken.take(ranks[0])
-    choices = []
-    for one in wanted:
-        ranks = [p for p in ranked[one.name] if taken.allows(p)]
-        certain = sure(ranked[one.name])
-        best = ranks[0] if ranks else None
-        if not certain and ask is not None and ranks:
-            best, certain = ask(one, ranks), True
-        if best is not None:
-            taken.take(best)
-        others = tuple(p for p in ranks if p is not best)
-        choices.append(Choice(one, best, certain, others))
-    return tuple(choices)
+    """
+    Choose for each sensor and command; ask: is asked where it is not sure; None: take the best.
+
+    What an answer leaves to the others is chosen anew.
+    """
+    answers: dict[str, Proposal | None] = {}
+    while True:
+        choices = assign(wanted, candidates, answers)
+        open_ = [c for c in choices if not c.sure and (c.proposal or c.others)]
+        if ask is None or not open_:
+            return choices
+        answers[open_[0].wanted.name] = ask(open_[0])
 
 
-def ask(wanted: Wanted, ranks: Sequence[Proposal]) -> Proposal | None:
-    """Ask on the terminal which it is; None: none of them. Raises BadInput."""
+def ask(choice: Choice) -> Proposal | None:
+    """Ask which it is; None: none of them. Raises BadInput when the answers are at their end."""
+    wanted, best = choice.wanted, choice.proposal
     what = 'command' if wanted.command else 'sensor'
-    if not sys.stdin.isatty():
-        raise BadInput('wire', wanted.name, f'it is not sure which {what} it is, and nobody can '
-                       'be asked', 'run it in a terminal, or with --yes')
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     hints = f' ({", ".join(wanted.hints)})' if wanted.hints else ''
-    offered = ranks[:OFFERED]
+    offered = [*([best] if best else []), *choice.others][:OFFERED]
     print(f'\nWhich is the {what} {wanted.name}{hints}{unit}?')
     for i, p in enumerate(offered, 1):
         print(f'  {i}  {clean(p.candidate.topic)}  {clean(p.candidate.field)}'
-              f'  {heard_of(p.candidate)}  ({clean(", ".join(p.why))})')
+              f'  {heard_of(p.candidate)}  ({clean(p.reasons)})')
     print('  0  none of these')
+    usual = '1' if best else '0'
     while True:
-        answer = _answer('[1] ') or '1'
+        try:
+            answer = input(f'[{usual}] ').strip() or usual
+        except EOFError:
+            raise BadInput('', wanted.name, f'it is not sure which {what} it is, and nobody can '
+                           'be asked', 'run it in a terminal, or with --yes') from None
         if answer.isdecimal() and int(answer) <= len(offered):
             return offered[int(answer) - 1] if int(answer) else None
         print(f'a number from 0 to {len(offered)}, please')
-
-
-def _answer(question: str) -> str:
-    try:
-        return input(question).strip()
-    except EOFError:
-        raise BadInput('wire', '', 'there was no answer', 'answer, or run it with --yes') from None
 
 
 def heard_of(candidate: Candidate) -> str:
@@ -180,7 +174,7 @@ def _tell(wired: Wired) -> None:
         else:
             doubt = '' if choice.sure else '  NOT SURE, look at it'
             print(clean(f'{name} {p.candidate.topic} {p.candidate.field}'
-                        f'  ({", ".join(p.why)}){doubt}'))
+                        f'  ({p.reasons}){doubt}'))
     print(f'written to {wired.output}')
     if wired.remappings:
         print('start these drivers with:')

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -12,21 +12,11 @@ import yaml
 
 from vsensor_ros.commissioning.candidates import Surroundings
 from vsensor_ros.commissioning.likeness import clean
-from vsensor_ros.commissioning.ranking import Proposal, Wanted
+from vsensor_ros.commissioning.ranking import Choice, Proposal
 from vsensor_ros.commissioning.routes import RAW, Route, routes
 from vsensor_ros.node.known import GENERAL
 
 OTHERS = 3  # candidates that are named beside one that is not sure
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What was chosen for a sensor or a command."""
-
-    wanted: Wanted
-    proposal: Proposal | None  # None: nothing was found
-    sure: bool
-    others: tuple[Proposal, ...]  # what else it may be, the best first
 
 
 @dataclass(frozen=True)
@@ -107,14 +97,15 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     if proposal is None:
         yield f'      # NOT FOUND: fill it in, without the #{unit}'
+        if choice.others:
+            yield f'      # it may be {_places(choice.others)}'
         yield f"      # {wanted.name}: {{topic: '', type: '', field: ''}}"
         return
     candidate = proposal.candidate
-    yield f'      {_key(wanted.name)}:    #{unit} {", ".join(proposal.why) or "nothing better"}'
+    yield f'      {_key(wanted.name)}:    #{unit} {proposal.reasons}'
     if not choice.sure:
-        others = ' or '.join(f'{p.candidate.topic} {p.candidate.field}'
-                             for p in choice.others[:OTHERS])
-        yield '        # NOT SURE' + (f': may be {others}' if others else '')
+        others = f'it may be {_places(choice.others)}' if choice.others else ''
+        yield '        # ' + '; '.join(filter(None, ('NOT SURE', proposal.doubt, others)))
     route = None if wanted.command else wired.routes[candidate.topic]
     yield f'        topic: {_quoted(candidate.topic if route is None else route.output)}'
     yield f'        type: {candidate.type}'
@@ -129,6 +120,10 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
         if listener.mismatch:
             yield (f'        # {listener.node} would not hear it there ({listener.mismatch}): '
                    'see qos_overrides')
+
+
+def _places(proposals: Sequence[Proposal]) -> str:
+    return ' or '.join(' '.join(p.candidate.place) for p in proposals[:OTHERS])
 
 
 def _sound(proposal: Proposal) -> str:
