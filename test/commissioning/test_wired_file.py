@@ -37,13 +37,13 @@ def base(tmp_path_factory):
     return path
 
 
-def graph(*topics, replacers=(), **more):
+def graph(*topics, replacers=(), isolations=(), namespace=''):
     """Return a graph of topics, each with its type and who publishes; nothing was heard."""
     found = {name: Topic(name, f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}', kind,
                          tuple(Neighbour(node, '') for node in nodes), (Neighbour('/ear', ''),))
              for name, kind, *nodes in topics}
-    return Surroundings(found, (), False, frozenset(replacers), (), frozenset(
-        name for name, topic in found.items() if topic.publishers), **more)
+    return Surroundings(found, isolations, False, frozenset(replacers), (), frozenset(
+        name for name, topic in found.items() if topic.publishers), namespace)
 
 
 def wire(plant, around, *ros_args):
@@ -92,3 +92,28 @@ def test_routes_never_cross():
         ['/a', '/a_driver', '/b_raw', '/c'], ['/b_raw'], ['/a_raw', '/c_raw', '/c_driver'],
     ).items()} == {'/a': ('/a', '/a_driver2'), '/a_driver': ('/a_driver', '/a_driver_raw'),
                    '/b_raw': ('/b', '/b_raw'), '/c': ('/c', '/c_driver2')}
+
+
+def test_below_its_namespace_topics_are_preferred_and_relative(base):
+    two = [(f'/robot{i}{topic}', kind, f'/robot{i}/driver') for i in (1, 2) for topic, kind in (
+        ('/odom', Odometry), ('/cmd_vel', Twist), ('/imu', Imu))]
+    settings, given, wired = wire(
+        base, graph(*two, namespace='/robot2', isolations=tuple(
+            (f'/robot{i}/isolation', 'std_msgs/msg/String') for i in (1, 2))),
+        '-r', '__ns:=/robot2')
+    assert {s['topic'] for s in given['sensors'].values()} == {'odom', 'imu'}
+    assert {s['input'] for s in given['sensors'].values()} == {'odom_raw', 'imu_raw'}
+    assert {c['topic'] for c in given['commands'].values()} == {'cmd_vel'}
+    assert given['isolation']['topic'] == 'isolation'
+    assert {s.output for s in settings.sensors} == {'/robot2/odom', '/robot2/imu'}
+    assert settings.isolation_topic == '/robot2/isolation'
+    assert next(c.sure for c in wired.choices if c.wanted.name == 'wheel_speed')
+    assert wired_text(wired).count('__ns:=/robot2') == 1
+    assert '/robot2/driver: --ros-args -r /robot2/odom:=/robot2/odom_raw' in wired.remappings
+
+
+def test_what_is_not_below_the_namespace_is_never_sure(base):
+    _, given, wired = wire(base, base_graph(('/imu', Imu, '/imu_driver'), namespace='/robot2'))
+    assert given['sensors']['wheel_speed']['topic'] == '/odom'
+    assert not any(c.sure for c in wired.choices)
+    assert '# NOT SURE; it is not below /robot2; it may be' in wired_text(wired)

@@ -119,6 +119,7 @@ class Surroundings:
     replacers: frozenset[str]  # full names of nodes that are replacers
     strange: tuple[str, ...]  # topics with types that are not installed here
     published: frozenset[str]  # all topics that anybody publishes on
+    namespace: str = ''  # in which the replacer will be; '' when in none
 
     def is_input(self, name: str) -> bool:
         """Tell whether a driver has moved there: nobody but a replacer is on the plain topic."""
@@ -133,7 +134,8 @@ class Surroundings:
 
     def candidates(self) -> list[Candidate]:
         """Return all that may be wired: not what a replacer says, or is to say."""
-        return [replace(c, moved=self.is_input(name)) for name, topic in self.topics.items()
+        return [replace(c, moved=self.is_input(name), namespace=self.namespace)
+                for name, topic in self.topics.items()
                 if not self.is_replaced(name) and not self._is_answered(name)
                 for c in topic.candidates()]
 
@@ -174,7 +176,8 @@ def look_around(node: Node, seconds: float) -> Surroundings:
         topic.publishers = publishers(node, topic.name)
         topic.listeners = listeners(node, topic.name, SPEAK)
     return Surroundings(topics, _isolations(node), bool(node.count_publishers('/clock')),
-                        _replacers(node), tuple(strange), frozenset(types_of_topics(node)))
+                        _replacers(node), tuple(strange), frozenset(types_of_topics(node)),
+                        node.get_namespace().rstrip('/'))
 
 
 def leaves(message: Any) -> Iterator[Leaf]:

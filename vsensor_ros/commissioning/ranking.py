@@ -22,6 +22,7 @@ CALLED, WORD, MEANING = 2.0, 3.0, 1.0  # the whole name; each word; one that mea
 AXIS = 1.5  # the name says an axis, and it is this one; else it is taken off
 MOVED, HEARD_BY, COMMANDED = 1.0, 1.0, 1.0
 SILENT, EMPTY, MOVES = -1.0, -3.0, 0.5
+BELOW = 4.0  # our namespace
 MEASURING = 1.0  # a message of sensor_msgs: for sensors; taken off for commands
 COUNTS = -1.0  # a whole number
 
@@ -75,11 +76,22 @@ class Candidate:
     published: bool = True
     listened: bool = False  # somebody hears the topic
     moved: bool = False  # the driver is on the topic + _raw already
+    namespace: str = ''  # of the replacer; '' when it is in none
 
     @property
     def place(self) -> tuple[str, str]:
         """Topic and field."""
         return self.topic, self.field
+
+    @property
+    def below(self) -> bool:
+        """Whether the topic is below the namespace of the replacer, when it is in one."""
+        return bool(self.namespace) and self.topic.startswith(f'{self.namespace}/')
+
+    @property
+    def local(self) -> str:
+        """The topic without the namespace of the replacer."""
+        return self.topic.removeprefix(self.namespace) if self.below else self.topic
 
     @property
     def moves(self) -> bool:
@@ -127,7 +139,8 @@ def score(wanted: Wanted, candidate: Candidate) -> Proposal | None:
     agrees = unit[0] == SAME_UNIT or name.agrees
     return Proposal(wanted, candidate, sum(p for p, _ in points),
                     tuple(why for p, why in points if why), agrees,
-                    name.doubt if agrees else 'neither its unit nor its name agrees')
+                    _doubt(candidate, name) if agrees else
+                    'neither its unit nor its name agrees')
 
 
 def rank(wanted: Wanted, candidates: Iterable[Candidate]) -> list[Proposal]:
@@ -235,12 +248,18 @@ def _by_name(wanted: Wanted, candidate: Candidate) -> _Likeness:
     return max(found, key=lambda like: (sum(p for p, _ in like.points), not like.doubt))
 
 
+def _doubt(candidate: Candidate, name: _Likeness) -> str:
+    if candidate.namespace and not candidate.below:
+        return f'it is not below {candidate.namespace}'
+    return name.doubt
+
+
 def _likeness(name: str, candidate: Candidate) -> _Likeness:
     last = candidate.topic.removesuffix(RAW).rpartition('/')[2]
     words = tuple(dict.fromkeys(words_of(name)))
     if name.casefold() in (last.casefold(), candidate.element.casefold()):
         return _Likeness(((CALLED + WORD * len(words), f'called {name}'),), True)
-    there = set(words_of(f'{candidate.topic} {candidate.element} {_unindexed(candidate.field)}'))
+    there = set(words_of(f'{candidate.local} {candidate.element} {_unindexed(candidate.field)}'))
     points, agrees = [], False
     for word in words:
         if word in there:
@@ -290,7 +309,7 @@ def _same(word: str, there: Iterable[str]) -> str:
 
 def _commands(candidate: Candidate, wanted: Wanted) -> bool:
     """Tell whether these are commands by their names; a name may have such a word itself."""
-    return bool(_COMMANDING & set(words_of(f'{candidate.topic} {candidate.field}'))
+    return bool(_COMMANDING & set(words_of(f'{candidate.local} {candidate.field}'))
                 - set(words_of(' '.join((wanted.name, *wanted.hints)))))
 
 
@@ -308,10 +327,10 @@ def _by_axis(wanted: Wanted, candidate: Candidate) -> list[Points]:
 
 
 def _by_place(wanted: Wanted, candidate: Candidate) -> list[Points]:
-    points: list[Points] = []
+    points = [(BELOW, f'below {candidate.namespace}')] if candidate.below else []
     measuring = candidate.type.startswith('sensor_msgs/')
     if wanted.command:
-        if _COMMANDING & set(words_of(candidate.topic)):
+        if _COMMANDING & set(words_of(candidate.local)):
             points.append((COMMANDED, 'a topic of commands'))
         if candidate.listened and candidate.published:
             points.append((HEARD_BY, 'somebody acts on it'))

@@ -183,4 +183,4 @@ def _tell(wired: Wired) -> None:
     path = os.path.relpath(wired.output)
     if not wired.design.exists():
         print(f'then: ros2 run vsensor_ros designer {wired.source} -o {wired.design}')
-    print(f'then: ros2 run vsensor_ros check --params-file {path}', flush=True)
+    print(f'then: ros2 run vsensor_ros check --params-file {path}{wired.remapped}', flush=True)

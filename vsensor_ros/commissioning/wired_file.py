@@ -38,6 +38,16 @@ class Wired:
         return routes([c.topic for c in sensors], [c.topic for c in sensors if c.moved],
                       {*self.around.published, *(c.topic for c, command in chosen if command)})
 
+    def written(self, topic: str) -> str:
+        """Return a topic as it stands in the file: relative when it is below the namespace."""
+        namespace = self.around.namespace
+        return topic.removeprefix(f'{namespace}/') if namespace else topic
+
+    @property
+    def remapped(self) -> str:
+        """With what the replacer is to be started, so that its topics are these."""
+        return f' --ros-args -r __ns:={self.around.namespace}' if self.around.namespace else ''
+
     @property
     def remappings(self) -> list[str]:
         """The drivers that must move, each with how."""
@@ -57,7 +67,7 @@ def _lines(wired: Wired) -> Iterator[str]:
     yield (f'# The replacer of {wired.plant}, wired by `ros2 run vsensor_ros wire` to what was on '
            'the graph.')
     yield '# Read the comments; every parameter is in docs/parameters.md. Then try it:'
-    yield f'#   ros2 run vsensor_ros check --params-file {wired.output}'
+    yield f'#   ros2 run vsensor_ros check --params-file {wired.output}{wired.remapped}'
     if wired.remappings:
         yield '#'
         yield '# Start these drivers with a remapping, so that the replacer speaks in their place:'
@@ -85,10 +95,11 @@ def _isolation(wired: Wired) -> Iterator[str]:
     if not wired.around.isolations:
         yield '    # isolation: nobody says yet which sensors are faulty; see docs/replacer.md'
         return
-    topic, kind = wired.around.isolations[0]
-    more = ', '.join(t for t, _ in wired.around.isolations[1:])
+    (topic, kind), *others = sorted(wired.around.isolations,
+                                    key=lambda found: wired.written(found[0]).startswith('/'))
+    more = ', '.join(other for other, _ in others)
     yield '    isolation:' + (f'    # or is it {more}?' if more else '')
-    yield f'      topic: {_quoted(topic)}'
+    yield f'      topic: {_quoted(wired.written(topic))}'
     yield f'      type: {kind}'
 
 
@@ -107,12 +118,12 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
         others = f'it may be {_places(choice.others)}' if choice.others else ''
         yield '        # ' + '; '.join(filter(None, ('NOT SURE', proposal.doubt, others)))
     route = None if wanted.command else wired.routes[candidate.topic]
-    yield f'        topic: {_quoted(candidate.topic if route is None else route.output)}'
+    yield f'        topic: {_quoted(wired.written(candidate.topic if route is None else route.output))}'
     yield f'        type: {candidate.type}'
     yield f'        field: {_quoted(candidate.field)}    # {_sound(proposal)}'
     if route is None:
         return
-    yield f'        input: {_quoted(route.input)}'
+    yield f'        input: {_quoted(wired.written(route.input))}'
     if candidate.rate and 3.0 / candidate.rate > GENERAL['max_age'].default:
         yield (f'        max_age: {math.ceil(4.0 / candidate.rate)}.0    # [s] it comes '
                f'every {1.0 / candidate.rate:.2g} s')
