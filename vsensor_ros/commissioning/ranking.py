@@ -245,7 +245,8 @@ class _Likeness:
 
 def _by_name(wanted: Wanted, candidate: Candidate) -> _Likeness:
     found = [_likeness(name, candidate) for name in (wanted.name, *wanted.hints)]
-    return max(found, key=lambda like: (sum(p for p, _ in like.points), not like.doubt))
+    best = max(found, key=lambda like: sum(p for p, _ in like.points))
+    return replace(best, doubt=next((like.doubt for like in found if like.doubt), ''))
 
 
 def _doubt(candidate: Candidate, name: _Likeness) -> str:
@@ -268,7 +269,9 @@ def _likeness(name: str, candidate: Candidate) -> _Likeness:
         elif same := _same(word, there):
             points.append((MEANING, f'{same} for {word}'))
             agrees = True
-    return _Likeness(tuple(points), agrees, _contradiction(set(words), there))
+    if agrees and (doubt := _contradiction(set(words), there)):
+        return _Likeness(doubt=doubt)
+    return _Likeness(tuple(points), agrees)
 
 
 def _contradiction(words: set[str], there: set[str]) -> str:

@@ -118,7 +118,8 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
         others = f'it may be {_places(choice.others)}' if choice.others else ''
         yield '        # ' + '; '.join(filter(None, ('NOT SURE', proposal.doubt, others)))
     route = None if wanted.command else wired.routes[candidate.topic]
-    yield f'        topic: {_quoted(wired.written(candidate.topic if route is None else route.output))}'
+    topic = candidate.topic if route is None else route.output
+    yield f'        topic: {_quoted(wired.written(topic))}'
     yield f'        type: {candidate.type}'
     yield f'        field: {_quoted(candidate.field)}    # {_sound(proposal)}'
     if route is None:
