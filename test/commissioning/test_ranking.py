@@ -191,11 +191,13 @@ def test_what_is_called_otherwise_is_not_sure(name, topic):
     assert choice.proposal.doubt and not choice.sure
 
 
-@pytest.mark.parametrize('tank1', [number('/tank1/level'), gauge('/tank1/level')])
-def test_numbers_pair(tank1):
-    candidates = [tank1, number('/tank2/level'), number('/tank1/temperature')]
+@pytest.mark.parametrize('place', ['', '/plant1'])
+@pytest.mark.parametrize('kind', [number, gauge])
+def test_numbers_pair(place, kind):
+    tank1, tank2 = kind(f'{place}/tank1/level'), number(f'{place}/tank2/level')
+    candidates = [tank1, tank2, number(f'{place}/tank1/temperature')]
     found = best([sensor('h1', 'm', 'level1'), sensor('h2', 'm', 'level2')], candidates)
-    assert found == {'h1': (*tank1.place, True), 'h2': ('/tank2/level', 'data', True)}
+    assert found == {'h1': (*tank1.place, True), 'h2': (*tank2.place, True)}
 
 
 def test_a_joint_that_is_named_is_no_axis_of_a_base():

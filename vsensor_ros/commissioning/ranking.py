@@ -260,7 +260,7 @@ def _likeness(name: str, candidate: Candidate) -> _Likeness:
     words = tuple(dict.fromkeys(words_of(name)))
     if name.casefold() in (last.casefold(), candidate.element.casefold()):
         return _Likeness(((CALLED + WORD * len(words), f'called {name}'),), True)
-    there = set(words_of(f'{candidate.local} {candidate.element} {_unindexed(candidate.field)}'))
+    there = _words_there(candidate)
     points, agrees = [], False
     for word in words:
         if word in there:
@@ -272,6 +272,14 @@ def _likeness(name: str, candidate: Candidate) -> _Likeness:
     if agrees and (doubt := _contradiction(set(words), there)):
         return _Likeness(doubt=doubt)
     return _Likeness(tuple(points), agrees)
+
+
+def _words_there(candidate: Candidate) -> set[str]:
+    """Return the words in the names of a candidate; of the numbers, those that tell it best."""
+    places = [_unindexed(candidate.field), candidate.element, *candidate.local.split('/')[::-1]]
+    words = [set(words_of(place)) for place in places]
+    numbers = [{w for w in there if w.isdecimal()} for there in words]
+    return set().union(*words).difference(*numbers) | next(filter(None, numbers), set())
 
 
 def _contradiction(words: set[str], there: set[str]) -> str:
