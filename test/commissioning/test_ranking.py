@@ -163,6 +163,13 @@ def test_elements_are_counted_not_spelt():
     assert [field for _, field, _ in found.values()] == [f'data[{i}]' for i in range(12)]
 
 
+def test_a_unit_that_is_seldom_the_fields_is_not_sure_beside_one_that_is():
+    candidates = [*twist('/odom'), *joints('/joint_states', 'wheel')]
+    assert not best([sensor('wheel_speed', 'm/s')], candidates)['wheel_speed'][-1]
+    found = best([sensor('slider_position', 'm')], [gauge('/scan'), *joints('/j', 'slider')])
+    assert found == {'slider_position': ('/j', 'position[slider]', True)}
+
+
 def test_what_two_names_fit_alike_is_not_sure():
     found = best([sensor('yaw_rate', 'rad/s'), sensor('turn_rate', 'rad/s')], imu('/imu'))
     assert not any(sure for _, _, sure in found.values())

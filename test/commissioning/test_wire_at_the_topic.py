@@ -172,7 +172,7 @@ def test_where_unsure_it_asks(robot, tmp_path):
 
 
 def test_nobody_is_there(robot, tmp_path):
-    done = robot.run('wire', plant_of('servo'), '--yes', '--for', '1', '--output',
+    done = robot.run('wire', plant_of('servo'), '--yes', '--for', '1', '-o',
                      tmp_path / 'x.yaml')
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert done.stderr.startswith('wire: graph: there is no topic with numbers')

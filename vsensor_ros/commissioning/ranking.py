@@ -17,7 +17,7 @@ from vsensor_ros.commissioning.units import one_spelling
 
 SURE = 1.0  # points by which the best must be ahead of all others, to be taken unasked
 
-SAME_UNIT, OTHER_MEANING = 3.0, 1.0  # the likeliest unit of the field; one that it may be in, too
+SAME_UNIT, OTHER_MEANING = 3.0, -1.0  # the likeliest unit of the field; one that is seldom its
 CALLED, WORD, MEANING = 2.0, 3.0, 1.0  # the whole name; each word; one that means the same
 AXIS = 1.5  # the name says an axis, and it is this one; else it is taken off
 MOVED, HEARD_BY, COMMANDED = 1.0, 1.0, 1.0
@@ -161,8 +161,7 @@ def assign(wanted: Sequence[Wanted], candidates: Sequence[Candidate],
     for answer in answers.values():
         if answer is not None:
             taken.take(answer)
-    elements = tuple(dict.fromkeys(c.element for c in candidates if c.element))
-    fitting = {w.name: rank(replace(w, joint=_joint(w, elements)), candidates)
+    fitting = {w.name: rank(replace(w, joint=_joint(w, candidates)), candidates)
                for w in wanted if w.name not in answers}
     ranked = {name: [p for p in ranks if taken.allows(p)] for name, ranks in fitting.items()}
     best: dict[str, Proposal] = {}
@@ -219,7 +218,8 @@ def _sure(best: Proposal | None, ranked: Mapping[str, Sequence[Proposal]],
 
 def _lead(ranks: Sequence[Proposal], proposal: Proposal) -> float:
     """Return how far a proposal is ahead of the best other one for the same name."""
-    return proposal.score - max((p.score for p in ranks if p is not proposal), default=0.0)
+    others = ranks[1:] if proposal is ranks[0] else ranks
+    return proposal.score - (others[0].score if others else 0.0)
 
 
 Points = tuple[float, str]  # and why
@@ -295,8 +295,11 @@ def _unindexed(field: str) -> str:
     return re.sub(r'\[#?[0-9]+\]', '', field)
 
 
-def _joint(wanted: Wanted, elements: Sequence[str]) -> str:
-    """Return the one joint on the graph that a name has most words of; '' when there is none."""
+def _joint(wanted: Wanted, candidates: Iterable[Candidate]) -> str:
+    """Return the one joint, with this unit, that a name has most words of; '': there is none."""
+    unit = one_spelling(wanted.unit)
+    elements = dict.fromkeys(c.element for c in candidates if c.element and (
+        not unit or not c.units or c.units[0] == unit))
     best: list[str] = []
     most = 0
     for element in elements:
