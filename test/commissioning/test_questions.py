@@ -68,6 +68,13 @@ def test_answers_come_from_a_pipe_until_its_end(monkeypatch, capsys):
         choose(LEVELS, TANKS, ask)
 
 
+def test_all_that_agrees_is_offered(monkeypatch):
+    many = [Candidate('/levels', 'a/msg/B', f'level[{i}]', heard=9, found=9) for i in range(40)]
+    monkeypatch.setattr('sys.stdin', io.StringIO('33\n'))
+    choice, = choose(LEVELS[:1], many, ask)
+    assert choice.proposal.candidate.field == 'level[32]'
+
+
 def test_what_does_not_agree_is_offered_and_not_taken(monkeypatch, capsys):
     heat = [Wanted('Q', True, 'W')]
     assert chosen(choose(heat, TANKS, None)) == {'Q': None}

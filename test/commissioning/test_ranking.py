@@ -191,6 +191,14 @@ def test_the_place_in_an_array_and_a_lone_number_are_no_name():
         assert choice.proposal is None and len(choice.others) == len(candidates)
 
 
+def test_no_unit_is_no_agreement():
+    for unit in ('1', '-', ''):
+        candidates = [Candidate('/battery', 'sensor_msgs/msg/BatteryState', 'percentage', ('1',),
+                                **MEASURED)]
+        choice, = assign([sensor('encoder', unit)], candidates)
+        assert choice.proposal is None and len(choice.others) == len(candidates)
+
+
 @pytest.mark.parametrize('name, topic', [('level1', '/tank/level2'),
                                          ('left_range', '/range/right')])
 def test_what_is_called_otherwise_is_not_sure(name, topic):

@@ -107,7 +107,7 @@ class Proposal:
     candidate: Candidate
     score: float
     why: tuple[str, ...]
-    agrees: bool = True  # the unit or the name does
+    agrees: bool = True  # the unit does, if it is one, or the name
     doubt: str = ''  # why it is never sure
 
     @property
@@ -136,7 +136,7 @@ def score(wanted: Wanted, candidate: Candidate) -> Proposal | None:
     name = _by_name(wanted, candidate)
     points = [unit, *name.points, *_by_axis(wanted, candidate), *_by_place(wanted, candidate),
               *_by_sound(candidate)]
-    agrees = unit[0] == SAME_UNIT or name.agrees
+    agrees = name.agrees or (unit[0] == SAME_UNIT and one_spelling(wanted.unit) != '1')
     return Proposal(wanted, candidate, sum(p for p, _ in points),
                     tuple(why for p, why in points if why), agrees,
                     _doubt(candidate, name) if agrees else
@@ -218,7 +218,7 @@ def _sure(best: Proposal | None, ranked: Mapping[str, Sequence[Proposal]],
 
 def _lead(ranks: Sequence[Proposal], proposal: Proposal) -> float:
     """Return how far a proposal is ahead of the best other one for the same name."""
-    others = ranks[1:] if proposal is ranks[0] else ranks
+    others = ranks[1:2] if proposal is ranks[0] else ranks[:1]
     return proposal.score - (others[0].score if others else 0.0)
 
 

@@ -24,7 +24,7 @@ from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.whole_file import write_whole
 
-OFFERED = 9  # candidates that are asked about
+OFFERED = 9  # candidates that are asked about, and all beyond that agree
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,8 @@ def ask(choice: Choice) -> Proposal | None:
     what = 'command' if wanted.command else 'sensor'
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     hints = f' ({", ".join(wanted.hints)})' if wanted.hints else ''
-    offered = [*([best] if best else []), *choice.others][:OFFERED]
+    offered = [*([best] if best else []), *choice.others]
+    offered = [p for i, p in enumerate(offered) if i < OFFERED or p.agrees]
     print(f'\nWhich is the {what} {wanted.name}{hints}{unit}?')
     for i, p in enumerate(offered, 1):
         print(f'  {i}  {clean(p.candidate.topic)}  {clean(p.candidate.field)}'
