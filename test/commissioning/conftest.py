@@ -75,8 +75,8 @@ class Robot:
         return subprocess.run(
             [sys.executable, '-m', f'vsensor_ros.command.{verb}', *map(str, arguments)],
             env={**os.environ, 'ROS_DOMAIN_ID': str(self.domain), 'PYTHONPATH': str(ROOT)},
-            capture_output=True, text=True, timeout=300, cwd=cwd or ROOT, stdin=subprocess.DEVNULL,
-            preexec_fn=die_with_parent, **options)
+            capture_output=True, text=True, timeout=300, cwd=cwd or ROOT,
+            preexec_fn=die_with_parent, **{'input': '', **options})
 
     def run_until(self, good, verb, *arguments, **options):
         """Run a verb, and if need be again with more patience; return what it said last."""

@@ -29,7 +29,8 @@ def test_the_wanted_type_comes_first():
 
 def test_words():
     assert words_of('/arm/joint_states_raw') == ('arm', 'joint', 'states', 'raw')
-    assert words_of('leftWheelSpeed2') == ('left', 'wheel', 'speed2')
+    assert words_of('leftWheelSpeed2') == ('left', 'wheel', 'speed', '2')
+    assert words_of('joint01') == ('joint', '1')
     assert words_of('IMUData') == ('imu', 'data')
 
 

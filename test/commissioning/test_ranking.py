@@ -1,8 +1,10 @@
 """Which field is taken for which sensor, and why; candidates as a graph would have them."""
 
+from dataclasses import replace
+
 import pytest
 
-from vsensor_ros.commissioning.ranking import assign, Candidate, rank, score, sure, Wanted
+from vsensor_ros.commissioning.ranking import assign, Candidate, rank, score, Wanted
 
 MEASURED = {'heard': 100, 'found': 100, 'low': -1.0, 'high': 1.0, 'rate': 50.0}
 AXES = ('x', 'y', 'z')
@@ -31,7 +33,8 @@ def number(topic, **more):
 
 
 def gauge(topic):
-    return Candidate(topic, 'sensor_msgs/msg/Range', 'range', ('m',), **MEASURED)
+    return Candidate(topic, 'sensor_msgs/msg/Range', 'range', ('m',),
+                     moved=topic.endswith('_raw'), **MEASURED)
 
 
 def sensor(name, unit='', *hints):
@@ -44,8 +47,8 @@ def command(name, unit=''):
 
 def best(wanted, candidates):
     """Return topic and field of the best for each, and whether it is sure."""
-    return {name: (ranks[0].candidate.topic, ranks[0].candidate.field, sure(ranks))
-            for name, ranks in assign(wanted, candidates).items() if ranks}
+    return {c.wanted.name: (*c.proposal.candidate.place, c.sure)
+            for c in assign(wanted, candidates) if c.proposal is not None}
 
 
 def test_a_gyro_is_the_vertical_axis_of_the_imu():
@@ -108,18 +111,21 @@ def test_a_command_may_wait_for_its_publisher_a_sensor_not():
 
 def test_nothing_is_given_to_two():
     candidates = joints('/joint_states', 'motor')
-    ranks = assign([sensor('y1', 'rad'), sensor('y2', 'rad')], candidates)
-    assert [len(ranks[name]) for name in ('y1', 'y2')].count(0) == 1
+    found = best([sensor('y1', 'rad'), sensor('y2', 'rad')], candidates)
+    assert found == {'y1': ('/joint_states', 'position[motor]', False)}  # nor is it sure
 
 
 def test_two_that_are_alike_are_not_sure():
-    ranks = assign([sensor('y1', 'rad')], joints('/joint_states', 'a', 'b'))['y1']
-    assert not sure(ranks) and ranks[0].score == ranks[1].score
-    assert sure(assign([sensor('y1', 'rad')], joints('/joint_states', 'a'))['y1'])
+    choice, = assign([sensor('y1', 'rad')], joints('/joint_states', 'a', 'b'))
+    assert not choice.sure and choice.proposal.score == choice.others[0].score
+    choice, = assign([sensor('y1', 'rad')], joints('/joint_states', 'a'))
+    assert choice.sure
 
 
-def test_a_float_of_no_likeness_is_not_sure():
-    assert not sure(assign([sensor('y1', 'rad')], [number('/temperature')])['y1'])
+def test_a_float_of_no_likeness_is_not_taken():
+    choice, = assign([sensor('y1', 'rad')], [number('/temperature')])
+    assert choice.proposal is None and not choice.sure
+    assert [p.candidate.topic for p in choice.others] == ['/temperature']
 
 
 def test_what_is_only_nan_or_stands_still_comes_last():
@@ -130,7 +136,92 @@ def test_what_is_only_nan_or_stands_still_comes_last():
 def test_every_point_has_its_reason():
     proposal = score(sensor('level2', 'm'), gauge('/tank/level2_raw'))
     assert proposal.why == ('in m', 'called level2', 'raw', 'measured', 'moves')
-    assert proposal.score == 9.5
+    assert proposal.score == 13.5
+
+
+def array(topic, length, **more):
+    return [Candidate(topic, 'std_msgs/msg/Float64MultiArray', f'data[{i}]',
+                      **{**MEASURED, **more}) for i in range(length)]
+
+
+@pytest.mark.parametrize('names', [('shoulder_effort', 'elbow_effort'),
+                                   ('elbow_effort', 'shoulder_effort')])
+def test_a_tie_goes_by_the_plants_order_and_is_never_sure(names):
+    still = {'low': 0.0, 'high': 0.0, 'listened': True}
+    commands = [*array('/effort_controller/commands', 1, **still),
+                *array('/effort_controller/commands', 2, listened=True)[1:]]
+    wanted = [command(name, 'N*m') for name in names]
+    for candidates in (commands, [*commands, number('/battery')]):
+        assert best(wanted, candidates) == {
+            name: ('/effort_controller/commands', f'data[{i}]', False)
+            for i, name in enumerate(names)}
+
+
+def test_elements_are_counted_not_spelt():
+    commands = array('/effort_controller/commands', 12, listened=True)
+    found = best([command(f'effort_{name}') for name in 'abcdefghijkl'], commands)
+    assert [field for _, field, _ in found.values()] == [f'data[{i}]' for i in range(12)]
+
+
+def test_a_unit_that_is_seldom_the_fields_is_not_sure_beside_one_that_is():
+    candidates = [*twist('/odom'), *joints('/joint_states', 'wheel')]
+    assert not best([sensor('wheel_speed', 'm/s')], candidates)['wheel_speed'][-1]
+    found = best([sensor('slider_position', 'm')], [gauge('/scan'), *joints('/j', 'slider')])
+    assert found == {'slider_position': ('/j', 'position[slider]', True)}
+
+
+def test_what_two_names_fit_alike_is_not_sure():
+    found = best([sensor('yaw_rate', 'rad/s'), sensor('turn_rate', 'rad/s')], imu('/imu'))
+    assert not any(sure for _, _, sure in found.values())
+
+
+def test_commands_are_no_sensors():
+    commands = [number('/left_wheel/command', listened=True), *array('/arm/commands', 2),
+                *twist('/cmd_vel'), *joints('/joint_setpoints', 'elbow'),
+                Candidate('/state', 'a/msg/B', 'reference.left_wheel', **MEASURED)]
+    wanted = [sensor('left_wheel_speed', 'rpm'), sensor('T1', 'degC'), sensor('elbow', 'rad'),
+              sensor('v', 'm/s')]
+    assert all(c.proposal is None and not c.others for c in assign(wanted, commands))
+    assert best([sensor('reference_range', 'm')], [gauge('/reference/range')])
+
+
+def test_the_place_in_an_array_and_a_lone_number_are_no_name():
+    for candidates in (array('/numbers', 3), [number('/heater1/power')]):
+        choice, = assign([sensor('T1', 'degC')], candidates)
+        assert choice.proposal is None and len(choice.others) == len(candidates)
+
+
+def test_no_unit_is_no_agreement():
+    for unit in ('1', '-', ''):
+        candidates = [Candidate('/battery', 'sensor_msgs/msg/BatteryState', 'percentage', ('1',),
+                                **MEASURED)]
+        choice, = assign([sensor('encoder', unit)], candidates)
+        assert choice.proposal is None and len(choice.others) == len(candidates)
+
+
+@pytest.mark.parametrize('name, topic', [('level1', '/tank/level2'),
+                                         ('left_range', '/range/right')])
+def test_what_is_called_otherwise_is_not_sure(name, topic):
+    choice, = assign([sensor(name, 'm')], [gauge(topic)])
+    assert choice.proposal.doubt and not choice.sure
+
+
+@pytest.mark.parametrize('place', ['', '/plant1'])
+@pytest.mark.parametrize('kind', [number, gauge])
+def test_numbers_pair(place, kind):
+    tank1, tank2 = kind(f'{place}/tank1/level'), number(f'{place}/tank2/level')
+    candidates = [tank1, tank2, number(f'{place}/tank1/temperature')]
+    found = best([sensor('h1', 'm', 'level1'), sensor('h2', 'm', 'level2')], candidates)
+    assert found == {'h1': (*tank1.place, True), 'h2': (*tank2.place, True)}
+
+
+def test_a_joint_that_is_named_is_no_axis_of_a_base():
+    candidates = [*imu('/imu/data'), *[replace(c, moved=True) for c in imu('/imu2/data_raw')],
+                  *joints('/joint_states', 'left_wheel_joint', 'right_wheel_joint', 'shoulder')]
+    found = best([sensor('left_speed', 'rad/s', 'left'), sensor('va', 'rad/s', 'vel_shoulder')],
+                 candidates)
+    assert found == {'left_speed': ('/joint_states', 'velocity[left_wheel_joint]', True),
+                     'va': ('/joint_states', 'velocity[shoulder]', True)}
 
 
 def test_the_order_of_what_was_found_does_not_matter():

@@ -146,7 +146,15 @@ def test_where_unsure_it_asks(robot, tmp_path):
     path = tmp_path / 'replacer.yaml'
     arguments = ('wire', plant_of('servo'), '--output', path)
     done = robot.run_until(lambda done: 'nobody can be asked' in done.stderr, *arguments)
-    assert done.returncode == 2 and 'y1' in done.stderr and not path.exists(), done.stderr
+    assert done.returncode == 2 and not path.exists(), done.stderr
+    assert done.stderr.startswith('wire: y1: it is not sure which sensor it is'), done.stderr
+    piped = tmp_path / 'piped.yaml'
+
+    def good(done):
+        return done.returncode == 0 and wired(piped)['y1'][1] == 'position[b]'
+    done = robot.run_until(good, 'wire', plant_of('servo'), '-o', piped, '--force',
+                           input='2\n' * 9)
+    assert good(done), done.stdout + done.stderr
     terminal, slave = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, '-m', 'vsensor_ros.command.wire', *map(str, arguments[1:]), '--for', '5'],
@@ -172,7 +180,7 @@ def test_where_unsure_it_asks(robot, tmp_path):
 
 
 def test_nobody_is_there(robot, tmp_path):
-    done = robot.run('wire', plant_of('servo'), '--yes', '--for', '1', '--output',
+    done = robot.run('wire', plant_of('servo'), '--yes', '--for', '1', '-o',
                      tmp_path / 'x.yaml')
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert done.stderr.startswith('wire: graph: there is no topic with numbers')

@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help='plant file (YAML), or the design file itself')
     parser.add_argument('--design', type=Path, metavar='DESIGN',
                         help='design file (default: beside the output, called after the plant)')
-    parser.add_argument('--output', type=Path, metavar='FILE', default=Path('replacer.yaml'),
+    parser.add_argument('-o', '--output', type=Path, metavar='FILE', default=Path('replacer.yaml'),
                         help='parameter file to write (default: %(default)s)')
     parser.add_argument('--yes', action='store_true',
                         help='take the best where it is not sure, and mark it in a comment')

@@ -12,8 +12,14 @@ from rclpy.node import Node
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.commissioning.likeness import bracketed
-from vsensor_ros.commissioning.neighbours import listeners, Neighbour, publishers
+from vsensor_ros.commissioning.neighbours import (
+    listeners,
+    Neighbour,
+    publishers,
+    types_of_topics,
+)
 from vsensor_ros.commissioning.ranking import Candidate
+from vsensor_ros.commissioning.routes import RAW
 from vsensor_ros.commissioning.units import units_of
 from vsensor_ros.node.accessor import field_type, message_type, NAME_ARRAYS, trace
 from vsensor_ros.node.cdr import decode
@@ -112,6 +118,30 @@ class Surroundings:
     clock: bool  # somebody publishes /clock
     replacers: frozenset[str]  # full names of nodes that are replacers
     strange: tuple[str, ...]  # topics with types that are not installed here
+    published: frozenset[str]  # all topics that anybody publishes on
+    namespace: str = ''  # in which the replacer will be; '' when in none
+
+    def is_input(self, name: str) -> bool:
+        """Tell whether a driver has moved there: nobody but a replacer is on the plain topic."""
+        plain = name.removesuffix(RAW)
+        return plain != name and (plain not in self.published or (
+            plain in self.topics and self.is_replaced(plain)))
+
+    def is_replaced(self, name: str) -> bool:
+        """Tell whether replacers, and nobody else, publish on a topic."""
+        there = self.topics[name].publishers
+        return bool(there) and all(p.node in self.replacers for p in there)
+
+    def candidates(self) -> list[Candidate]:
+        """Return all that may be wired: not what a replacer says, or is to say."""
+        return [replace(c, moved=self.is_input(name), namespace=self.namespace)
+                for name, topic in self.topics.items()
+                if not self.is_replaced(name) and not self._is_answered(name)
+                for c in topic.candidates()]
+
+    def _is_answered(self, name: str) -> bool:
+        """Tell whether this is where a replacer is to speak: its driver has moved."""
+        return name not in self.published and f'{name}{RAW}' in self.published
 
 
 def look_around(node: Node, seconds: float) -> Surroundings:
@@ -146,7 +176,8 @@ def look_around(node: Node, seconds: float) -> Surroundings:
         topic.publishers = publishers(node, topic.name)
         topic.listeners = listeners(node, topic.name, SPEAK)
     return Surroundings(topics, _isolations(node), bool(node.count_publishers('/clock')),
-                        _replacers(node), tuple(strange))
+                        _replacers(node), tuple(strange), frozenset(types_of_topics(node)),
+                        node.get_namespace().rstrip('/'))
 
 
 def leaves(message: Any) -> Iterator[Leaf]:

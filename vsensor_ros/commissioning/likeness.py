@@ -11,9 +11,9 @@ MOST = 1000  # names that are looked through; they come from outside
 
 
 def words_of(name: str) -> tuple[str, ...]:
-    """Take a name apart: ``/arm/joint_states`` and ``jointStates`` have joint and states."""
-    parts = re.findall(r'[A-Z]+(?![a-z])|[A-Z]?[a-z]+[0-9]*|[0-9]+', name)
-    return tuple(part.lower() for part in parts)
+    """Take a name apart: ``/arm/joint_states1`` and ``jointStates01`` have joint, states and 1."""
+    parts = re.findall(r'[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+', name)
+    return tuple(part.lower().lstrip('0') or '0' for part in parts)
 
 
 def plain(name: str) -> str:

@@ -6,7 +6,7 @@ The driver of a sensor goes on publishing, on the topic + _raw; the replacer spe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -15,16 +15,16 @@ import sys
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
-from vsensor_ros.commissioning.candidates import look_around, Surroundings
+from vsensor_ros.commissioning.candidates import look_around
 from vsensor_ros.commissioning.likeness import clean
-from vsensor_ros.commissioning.ranking import assign, Candidate, Proposal, sure, Taken, Wanted
+from vsensor_ros.commissioning.ranking import assign, Candidate, Choice, Proposal, Wanted
 from vsensor_ros.commissioning.silent_node import open_context, open_silent, own_name
-from vsensor_ros.commissioning.wired_file import Choice, RAW, Wired, wired_text
+from vsensor_ros.commissioning.wired_file import Wired, wired_text
 from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.whole_file import write_whole
 
-OFFERED = 9  # candidates that are asked about
+OFFERED = 9  # candidates that are asked about, and all beyond that agree
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ def wire(source: Path, design: Path | None, output: Path, yes: bool, force: bool
     _may_write(output, yes, force)
     with open_context(ros_args) as context, open_silent(context, own_name('wire')) as node:
         around = look_around(node, seconds)
-    candidates = sources(around)
+    candidates = around.candidates()
     if not candidates:
         raise BadInput('graph', '', 'there is no topic with numbers', 'start the drivers, and '
                        'look whether ROS_DOMAIN_ID is theirs')
-    choices = choose(task.wanted, candidates, around, None if yes else ask)
+    choices = choose(task.wanted, candidates, None if yes else ask)
     wired = Wired(task.plant, str(task.source), task.design, output, choices, around)
     try:
         write_whole(output, wired_text(wired))
@@ -102,76 +102,56 @@ def _may_write(output: Path, yes: bool, force: bool) -> None:
         return
     if yes or not sys.stdin.isatty():
         raise BadInput(output, '', 'is there already', 'name another with --output, or --force')
-    if _answer(f'{output} is there already. Overwrite it? [y/N] ').casefold() not in ('y', 'yes'):
+    try:
+        answer = input(f'{output} is there already. Overwrite it? [y/N] ')
+    except EOFError:
+        answer = ''
+    if answer.strip().casefold() not in ('y', 'yes'):
         raise BadInput(output, '', 'was left as it is', 'name another with --output')
 
 
-def sources(around: Surroundings) -> list[Candidate]:
-    """Return the candidates of all topics but those that a replacer says."""
-    return [c for name, topic in around.topics.items()
-            if not (topic.publishers and all(
-                p.node in around.replacers for p in topic.publishers))
-            and not _answered(name, around)
-            for c in topic.candidates()]
+Ask = Callable[[Choice], Proposal | None]
 
 
-def _answered(name: str, around: Surroundings) -> bool:
-    """Tell whether this is where a replacer is to speak: its driver is on the topic + _raw."""
-    raw, topic = around.topics.get(f'{name}{RAW}'), around.topics[name]
-    return raw is not None and bool(raw.publishers) and not topic.publishers
+def choose(wanted: Sequence[Wanted], candidates: Sequence[Candidate], ask: Ask | None,
+           ) -> tuple[Choice, ...]:
+    """
+    Choose for each sensor and command; ask: is asked where it is not sure; None: take the best.
+
+    What an answer leaves to the others is chosen anew.
+    """
+    answers: dict[str, Proposal | None] = {}
+    while True:
+        choices = assign(wanted, candidates, answers)
+        open_ = [c for c in choices if not c.sure and (c.proposal or c.others)]
+        if ask is None or not open_:
+            return choices
+        answers[open_[0].wanted.name] = ask(open_[0])
 
 
-Ask = Callable[[Wanted, Sequence[Proposal]], Proposal | None]
-
-
-def choose(wanted: Iterable[Wanted], candidates: Sequence[Candidate], around: Surroundings,
-           ask: Ask | None) -> tuple[Choice, ...]:
-    """Choose for each sensor and command; ask: is asked where it is not sure; None: take it."""
-    wanted = tuple(wanted)
-    ranked, taken = assign(wanted, candidates), Taken()
-    for ranks in ranked.values():
-        if sure(ranks):
-            taken.take(ranks[0])
-    choices = []
-    for one in wanted:
-        ranks = [p for p in ranked[one.name] if taken.allows(p)]
-        certain = sure(ranked[one.name])
-        best = ranks[0] if ranks else None
-        if not certain and ask is not None and ranks:
-            best, certain = ask(one, ranks), True
-        if best is not None:
-            taken.take(best)
-        others = tuple(p for p in ranks if p is not best)
-        choices.append(Choice(one, best, certain, others))
-    return tuple(choices)
-
-
-def ask(wanted: Wanted, ranks: Sequence[Proposal]) -> Proposal | None:
-    """Ask on the terminal which it is; None: none of them. Raises BadInput."""
+def ask(choice: Choice) -> Proposal | None:
+    """Ask which it is; None: none of them. Raises BadInput when the answers are at their end."""
+    wanted, best = choice.wanted, choice.proposal
     what = 'command' if wanted.command else 'sensor'
-    if not sys.stdin.isatty():
-        raise BadInput('wire', wanted.name, f'it is not sure which {what} it is, and nobody can '
-                       'be asked', 'run it in a terminal, or with --yes')
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     hints = f' ({", ".join(wanted.hints)})' if wanted.hints else ''
-    offered = ranks[:OFFERED]
+    offered = [*([best] if best else []), *choice.others]
+    offered = [p for i, p in enumerate(offered) if i < OFFERED or p.agrees]
     print(f'\nWhich is the {what} {wanted.name}{hints}{unit}?')
     for i, p in enumerate(offered, 1):
         print(f'  {i}  {clean(p.candidate.topic)}  {clean(p.candidate.field)}'
-              f'  {heard_of(p.candidate)}  ({clean(", ".join(p.why))})')
+              f'  {heard_of(p.candidate)}  ({clean(p.reasons)})')
     print('  0  none of these')
+    usual = '1' if best else '0'
     while True:
-        answer = _answer('[1] ') or '1'
+        try:
+            answer = input(f'[{usual}] ').strip() or usual
+        except EOFError:
+            raise BadInput('', wanted.name, f'it is not sure which {what} it is, and nobody can '
+                           'be asked', 'run it in a terminal, or with --yes') from None
         if answer.isdecimal() and int(answer) <= len(offered):
             return offered[int(answer) - 1] if int(answer) else None
         print(f'a number from 0 to {len(offered)}, please')
-
-
-def _answer(question: str) -> str:
-    try:
-        return input(question).strip()
-    except EOFError:
-        raise BadInput('wire', '', 'there was no answer', 'answer, or run it with --yes') from None
 
 
 def heard_of(candidate: Candidate) -> str:
@@ -195,13 +175,13 @@ def _tell(wired: Wired) -> None:
         else:
             doubt = '' if choice.sure else '  NOT SURE, look at it'
             print(clean(f'{name} {p.candidate.topic} {p.candidate.field}'
-                        f'  ({", ".join(p.why)}){doubt}'))
+                        f'  ({p.reasons}){doubt}'))
     print(f'written to {wired.output}')
     if wired.remappings:
         print('start these drivers with:')
-        for node, topic in wired.remappings:
-            print(clean(f'  {node}: --ros-args -r {topic}:={topic}{RAW}'))
+        for remapping in wired.remappings:
+            print(clean(f'  {remapping}'))
     path = os.path.relpath(wired.output)
     if not wired.design.exists():
         print(f'then: ros2 run vsensor_ros designer {wired.source} -o {wired.design}')
-    print(f'then: ros2 run vsensor_ros check --params-file {path}', flush=True)
+    print(f'then: ros2 run vsensor_ros check --params-file {path}{wired.remapped}', flush=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from pathlib import Path
 
@@ -11,21 +12,11 @@ import yaml
 
 from vsensor_ros.commissioning.candidates import Surroundings
 from vsensor_ros.commissioning.likeness import clean
-from vsensor_ros.commissioning.ranking import Proposal, Wanted
+from vsensor_ros.commissioning.ranking import Choice, Proposal
+from vsensor_ros.commissioning.routes import RAW, Route, routes
 from vsensor_ros.node.known import GENERAL
 
-RAW = '_raw'  # what drivers' topics end in
 OTHERS = 3  # candidates that are named beside one that is not sure
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What was chosen for a sensor or a command."""
-
-    wanted: Wanted
-    proposal: Proposal | None  # None: nothing was found
-    sure: bool
-    others: tuple[Proposal, ...]  # what else it may be, the best first
 
 
 @dataclass(frozen=True)
@@ -39,19 +30,32 @@ class Wired:
     choices: tuple[Choice, ...]
     around: Surroundings
 
-    @property
-    def remappings(self) -> list[tuple[str, str]]:
-        """The drivers that must move, with the topic that they are to leave."""
-        topics = dict.fromkeys(c.proposal.candidate.topic for c in self.choices
-                               if c.proposal is not None and not c.wanted.command)
-        return [(p, topic) for topic in topics if not self.is_raw(topic)
-                for p in dict.fromkeys(n.node for n in self.around.topics[topic].publishers)]
+    @cached_property
+    def routes(self) -> dict[str, Route]:
+        """Where drivers publish and the replacer speaks, by the topic that was chosen."""
+        chosen = [(c.proposal.candidate, c.wanted.command) for c in self.choices if c.proposal]
+        sensors = [candidate for candidate, command in chosen if not command]
+        return routes([c.topic for c in sensors], [c.topic for c in sensors if c.moved],
+                      {*self.around.published, *(c.topic for c, command in chosen if command)})
 
-    def is_raw(self, topic: str) -> bool:
-        """Tell whether a driver publishes on the input already, and only a replacer before it."""
-        served = self.around.topics.get(topic.removesuffix(RAW))
-        return topic.endswith(RAW) and (served is None or all(
-            p.node in self.around.replacers for p in served.publishers))
+    def written(self, topic: str) -> str:
+        """Return a topic as it stands in the file: relative when it is below the namespace."""
+        namespace = self.around.namespace
+        return topic.removeprefix(f'{namespace}/') if namespace else topic
+
+    @property
+    def remapped(self) -> str:
+        """With what the replacer is to be started, so that its topics are these."""
+        return f' --ros-args -r __ns:={self.around.namespace}' if self.around.namespace else ''
+
+    @property
+    def remappings(self) -> list[str]:
+        """The drivers that must move, each with how."""
+        return [f'{driver}: --ros-args -r {topic}:={route.input}' + (
+                    '' if route.plain else f'    # {topic}{RAW} is taken')
+                for topic, route in self.routes.items() if topic != route.input
+                for driver in dict.fromkeys(
+                    n.node for n in self.around.topics[topic].publishers)]
 
 
 def wired_text(wired: Wired) -> str:
@@ -63,12 +67,12 @@ def _lines(wired: Wired) -> Iterator[str]:
     yield (f'# The replacer of {wired.plant}, wired by `ros2 run vsensor_ros wire` to what was on '
            'the graph.')
     yield '# Read the comments; every parameter is in docs/parameters.md. Then try it:'
-    yield f'#   ros2 run vsensor_ros check --params-file {wired.output}'
+    yield f'#   ros2 run vsensor_ros check --params-file {wired.output}{wired.remapped}'
     if wired.remappings:
         yield '#'
         yield '# Start these drivers with a remapping, so that the replacer speaks in their place:'
-        for node, topic in wired.remappings:
-            yield f'#   {node}: --ros-args -r {topic}:={topic}{RAW}'
+        for remapping in wired.remappings:
+            yield f'#   {remapping}'
     yield '/**:'
     yield '  ros__parameters:'
     if not wired.design.exists():
@@ -91,10 +95,11 @@ def _isolation(wired: Wired) -> Iterator[str]:
     if not wired.around.isolations:
         yield '    # isolation: nobody says yet which sensors are faulty; see docs/replacer.md'
         return
-    topic, kind = wired.around.isolations[0]
-    more = ', '.join(t for t, _ in wired.around.isolations[1:])
+    (topic, kind), *others = sorted(wired.around.isolations,
+                                    key=lambda found: wired.written(found[0]).startswith('/'))
+    more = ', '.join(other for other, _ in others)
     yield '    isolation:' + (f'    # or is it {more}?' if more else '')
-    yield f'      topic: {_quoted(topic)}'
+    yield f'      topic: {_quoted(wired.written(topic))}'
     yield f'      type: {kind}'
 
 
@@ -103,22 +108,23 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
     unit = f' [{wanted.unit}]' if wanted.unit else ''
     if proposal is None:
         yield f'      # NOT FOUND: fill it in, without the #{unit}'
+        if choice.others:
+            yield f'      # it may be {_places(choice.others)}'
         yield f"      # {wanted.name}: {{topic: '', type: '', field: ''}}"
         return
     candidate = proposal.candidate
-    yield f'      {_key(wanted.name)}:    #{unit} {", ".join(proposal.why) or "nothing better"}'
+    yield f'      {_key(wanted.name)}:    #{unit} {proposal.reasons}'
     if not choice.sure:
-        others = ' or '.join(f'{p.candidate.topic} {p.candidate.field}'
-                             for p in choice.others[:OTHERS])
-        yield '        # NOT SURE' + (f': may be {others}' if others else '')
-    raw = not wanted.command and wired.is_raw(candidate.topic)
-    topic = candidate.topic.removesuffix(RAW) if raw else candidate.topic
-    yield f'        topic: {_quoted(topic)}'
+        others = f'it may be {_places(choice.others)}' if choice.others else ''
+        yield '        # ' + '; '.join(filter(None, ('NOT SURE', proposal.doubt, others)))
+    route = None if wanted.command else wired.routes[candidate.topic]
+    topic = candidate.topic if route is None else route.output
+    yield f'        topic: {_quoted(wired.written(topic))}'
     yield f'        type: {candidate.type}'
     yield f'        field: {_quoted(candidate.field)}    # {_sound(proposal)}'
-    if wanted.command:
+    if route is None:
         return
-    yield f'        input: {_quoted(candidate.topic if raw else candidate.topic + RAW)}'
+    yield f'        input: {_quoted(wired.written(route.input))}'
     if candidate.rate and 3.0 / candidate.rate > GENERAL['max_age'].default:
         yield (f'        max_age: {math.ceil(4.0 / candidate.rate)}.0    # [s] it comes '
                f'every {1.0 / candidate.rate:.2g} s')
@@ -126,6 +132,10 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
         if listener.mismatch:
             yield (f'        # {listener.node} would not hear it there ({listener.mismatch}): '
                    'see qos_overrides')
+
+
+def _places(proposals: Sequence[Proposal]) -> str:
+    return ' or '.join(' '.join(p.candidate.place) for p in proposals[:OTHERS])
 
 
 def _sound(proposal: Proposal) -> str:
