@@ -4,6 +4,7 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
@@ -53,6 +54,7 @@ def test_nothing_is_wrong_and_nothing_is_published(robot, file):
     robot.drive('driver', JointState, RAW, joints())
     robot.drive('controller', Float64, VOLTAGE, volts)
     robot.isolate()
+    robot.hear('rviz', JointState, OUT)
     eye, seen, opened = robot.node('eye'), [], []
 
     def look():  # while the check is there
@@ -83,6 +85,22 @@ def test_a_type_a_joint_an_isolation_and_a_listener_that_are_not_as_thought(robo
     done = robot.run_until(good, 'check', '--params-file', file())
     assert good(done), done.stdout + done.stderr
     assert ' things would not work. First: ' in done.stdout.splitlines()[-1]
+
+
+def test_a_listener_with_a_deadline_hears_with_the_parameter_that_is_advised(robot, file):
+    robot.drive('driver', JointState, RAW, joints())
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    robot.hear('watch', JointState, OUT, QoSProfile(depth=1, deadline=Duration(seconds=0.1)))
+    good = says(f'/watch would hear nothing on {OUT}: its QoS does not fit (deadline is none, '
+                'wanted 100000000); change it there, or here with '
+                f'qos_overrides.{OUT}.publisher.deadline: 100000000')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+    path = file(qos_overrides={OUT: {'publisher': {'deadline': 100_000_000}}})
+    good = says('check: all would work', f'{OUT} output JointState ok', status=0)
+    done = robot.run_until(good, 'check', '--params-file', path)
+    assert good(done), done.stdout + done.stderr
 
 
 def test_a_misspelt_command_two_drivers_and_one_on_the_output(robot, file):

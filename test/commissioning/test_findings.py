@@ -24,7 +24,8 @@ LACKING = Reason.of('not in the message', field='position[elbow]')
 
 
 def party(node='/driver', kind=RANGE, mismatch=''):
-    return SimpleNamespace(node=node, type=kind, mismatch=mismatch)
+    return SimpleNamespace(node=node, type=kind, mismatch=mismatch,
+                           mend='change it there' if mismatch else '')
 
 
 def said(found=100, nan=0, lack=None):

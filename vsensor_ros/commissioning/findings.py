@@ -53,6 +53,10 @@ class Party(Protocol):
     def mismatch(self) -> str:
         """How its QoS does not fit; '' when it does."""
 
+    @property
+    def mend(self) -> str:
+        """What to do about that."""
+
 
 class Field(Protocol):
     """What a field said; see `FieldHeard`."""
@@ -155,8 +159,7 @@ def _published(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> l
         elif other.mismatch:
             found.append(Finding(
                 FAIL, (use.topic,), '', f'the QoS of {other.node} on {use.topic} does not fit '
-                f'({other.mismatch}), so nothing is heard', 'change it there, or here with '
-                f'qos_overrides.{use.topic}.subscription'))
+                f'({other.mismatch}), so nothing is heard', other.mend))
     if right and not found and use.heard is not None and not use.heard.count:
         who = ', '.join(dict.fromkeys(p.node for p in right))
         found.append(Finding(
@@ -343,6 +346,5 @@ def _output(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list
         elif other.mismatch:
             found.append(Finding(
                 FAIL, (use.topic,), '', f'{other.node} would hear nothing on {use.topic}: its QoS '
-                f'does not fit ({other.mismatch})', 'change it there, or here with '
-                f'qos_overrides.{use.topic}.publisher'))
+                f'does not fit ({other.mismatch})', other.mend))
     return found
