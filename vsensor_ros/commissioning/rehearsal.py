@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 
-from vsensor_ros.commissioning.findings import FAIL, Finding, NOTE, Use, WARN
+from vsensor_ros.commissioning.findings import FAIL, Finding, INPUT, NOTE, Use, WARN
 from vsensor_ros.engine import ChannelState
 from vsensor_ros.node.reserve import Chance, chance
 from vsensor_ros.observers import Design, Refusal
@@ -34,7 +34,11 @@ def outlook(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None, 
     if (refused := _refused(name, design)) is not None:
         return Outlook(name, NOTE, f'not replaced, by design: {_short(refused)}', False)
     if why is None:
-        return Outlook(name, NOTE, _ready(state, reserve, design))
+        ready = _ready(state, reserve, design)
+        if any(use.role == INPUT and name in use.channels and not (
+                use.heard is not None and use.fields[use.channels[name]].found) for use in uses):
+            return Outlook(name, WARN, f'is not heard itself; {ready}')
+        return Outlook(name, NOTE, ready)
     hope = chance(why)
     if hope is Chance.PASSES:
         return Outlook(name, NOTE, f'virtual sensor warms up: {why}')
