@@ -113,6 +113,9 @@ def test_a_missing_joint():
     level, text = one(findings(use(heard=heard, field=said(0, lack=LACKING),
                                    path='position[elbow]')))
     assert level == FAIL and text.endswith('did you mean position[elbow1]?')
+    heard = sound(names={'elbow': None})  # but no position of it
+    assert one(findings(use(heard=heard, field=said(0, lack=LACKING), path='position[elbow]')))[
+        1].endswith('name a field that its messages have')
     heard = sound(names={f'joint{i}': None for i in range(9)})
     assert one(findings(use(heard=heard, field=said(0, lack=LACKING), path='position[elbow]')))[
         1].endswith('there are joint0, joint1, joint2, joint3, joint4, joint5 and 3 more')

@@ -43,7 +43,7 @@ def test_stamps_since_boot(machine):
     m.engineer.create_subscription(DiagnosticArray, '/diagnostics', lambda a: hardly.extend(
         s for s in a.status if s.name == 'replacer: y1' and s.level == b'\1'), 10)
     assert m.spin_until(lambda: any(
-        "its stamps are of another clock" in s.message and 'time since boot' in s.message
+        'its stamps are of another clock' in s.message and 'time since boot' in s.message
         and 'no virtual sensor can use it' in s.message for s in hardly)), hardly
 
     def reserve(name):

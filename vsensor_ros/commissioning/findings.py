@@ -249,9 +249,10 @@ def _meant(path: str, names: Iterable[str]) -> str:
     """Say which element was meant, of those that messages have."""
     start, bracket, element = path.rpartition('[')
     there = list(names)
-    if not bracket or not there:
+    element = element.strip("]'\"")
+    if not bracket or not there or element in there:
         return 'name a field that its messages have'
-    near = nearest(element.strip("]'\""), there)
+    near = nearest(element, there)
     if near is not None:
         return f'did you mean {start}{bracketed(near)}?'
     more = f' and {len(there) - MOST_NAMED} more' if len(there) > MOST_NAMED else ''
