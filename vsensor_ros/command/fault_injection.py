@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from vsensor_ros.lab.injection.suite import choose
         from vsensor_ros.lab.injection.table import inject_and_show, list_cases
         cases = choose(given.only, given.quick)
-        if given.list:
+        if given.list or path is None:
             list_cases(cases)
             return 0
         return inject_and_show(given.plant, path, given.scenario, cases,

@@ -116,7 +116,8 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
             f'{", ".join(state.faulty)} is faulty now', 'repair it, or have isolation say that '
             'all are healthy'))
     findings.sort(key=lambda f: -f.level)
-    outlooks = [outlook(c, replacer.engine.reserve(c.name), settings.design, uses, findings)
+    outlooks = [outlook(c, replacer.engine.reserve(c.name), settings.design,
+                        tuple(seen.values()), findings)
                 for c in sorted(state.channels,
                                 key=lambda c: settings.design.sensors.index(c.name))]
     replacer.close()
@@ -156,7 +157,8 @@ def _choosing(settings: Settings, use: Use) -> list[Sensor | Command]:
     """Return the ends by which messages of some publishers are left out, as the replacer does."""
     if use.role == COMMAND and len(use.chosen) < len(use.channels):
         return []  # another command there hears them all
-    return [end for end in (*settings.sensors, *settings.commands) if end.name in use.chosen]
+    ends: Sequence[Sensor | Command] = settings.sensors if use.role == INPUT else settings.commands
+    return [end for end in ends if end.name in use.chosen]
 
 
 def _hear(replacer: Replacer, ears: Collection[Ear], seconds: float) -> None:
