@@ -51,15 +51,16 @@ class Robot:
             self.nodes[name] = Node(name, context=self.context)
         return self.nodes[name]
 
-    def drive(self, name, kind, topic, make, qos=10, late=0.0):
-        """Have a node publish what `make` of the time makes, stamped `late` s ago."""
+    def drive(self, name, kind, topic, make, qos=10, late=0.0, whole=False):
+        """Have a node publish what `make` of the time makes, stamped `late` s ago; whole: in s."""
         publisher = self.node(name).create_publisher(kind, topic, qos)
 
         def send():
             now = time.time_ns()
             message = make(now * 1e-9)
             if hasattr(message, 'header'):
-                put_stamp(message, now - round(late * 1e9))
+                stamp = now - round(late * 1e9)
+                put_stamp(message, stamp - stamp % 10**9 if whole else stamp)
             publisher.publish(message)
         self.work.append(send)
 

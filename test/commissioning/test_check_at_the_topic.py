@@ -1,13 +1,17 @@
 """What `check` says beside robots on which something is wrong, as a process, on real topics."""
 
 import math
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float32, Float64
 import yaml
+
+from vsensor_ros.commissioning.check_table import MARK
 
 pytestmark = pytest.mark.slow  # a verb listens for seconds, as a process
 RAW, OUT, VOLTAGE = '/servo/joint_states_raw', '/servo/joint_states', '/servo/voltage'
@@ -53,6 +57,7 @@ def test_nothing_is_wrong_and_nothing_is_published(robot, file):
     robot.drive('driver', JointState, RAW, joints())
     robot.drive('controller', Float64, VOLTAGE, volts)
     robot.isolate()
+    robot.hear('rviz', JointState, OUT)
     eye, seen, opened = robot.node('eye'), [], []
 
     def look():  # while the check is there
@@ -85,6 +90,22 @@ def test_a_type_a_joint_an_isolation_and_a_listener_that_are_not_as_thought(robo
     assert ' things would not work. First: ' in done.stdout.splitlines()[-1]
 
 
+def test_a_listener_with_a_deadline_hears_with_the_parameter_that_is_advised(robot, file):
+    robot.drive('driver', JointState, RAW, joints())
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    robot.hear('watch', JointState, OUT, QoSProfile(depth=1, deadline=Duration(seconds=0.1)))
+    good = says(f'/watch would hear nothing on {OUT}: its QoS does not fit (deadline is none, '
+                'wanted 100000000); change it there, or here with '
+                f'qos_overrides.{OUT}.publisher.deadline: 100000000')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+    path = file(qos_overrides={OUT: {'publisher': {'deadline': 100_000_000}}})
+    good = says('check: all would work', f'{OUT} output JointState ok', status=0)
+    done = robot.run_until(good, 'check', '--params-file', path)
+    assert good(done), done.stdout + done.stderr
+
+
 def test_a_misspelt_command_two_drivers_and_one_on_the_output(robot, file):
     robot.drive('driver', JointState, RAW, joints(), late=0.3)
     robot.drive('simulation', JointState, RAW, joints(), late=0.3)
@@ -93,7 +114,9 @@ def test_a_misspelt_command_two_drivers_and_one_on_the_output(robot, file):
     robot.isolate('/fault/isolation')
     good = says('y2, y3: cannot be replaced now: voltage was never heard on /servo/voltage; did '
                 'you mean /servo/Voltage?',
-                f'/driver and /simulation publish on {RAW} in turn, both y1, y2, y3',
+                f'/driver and /simulation publish on {RAW} in turn, both y1, y2, y3; '
+                'end one, give it a topic of its own, or choose one with sensors.y1.publisher and '
+                'sensors.y2.publisher',
                 f'the stamps on {RAW} are 30', 'ms late',
                 f'/old_replacer publishes on {OUT} already, where the replacer is to speak',
                 'no fault would be told; did you mean /fault/isolation?')
@@ -114,6 +137,74 @@ def test_a_driver_that_was_not_remapped_a_qos_and_no_clock(robot, file):
     done = robot.run_until(good, 'check', '--params-file', path)
     assert good(done), done.stdout + done.stderr
     assert 'check: 3 things would not work. First: use_sim_time' in done.stdout.splitlines()[-1]
+
+
+def test_two_who_command_in_turn_and_one_of_them_chosen(robot, file):
+    robot.drive('driver', JointState, RAW, joints())
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.drive('teleop', Float64, VOLTAGE, lambda t: Float64(data=-7.0))
+    robot.isolate()
+    good = says(f'/controller and /teleop publish on {VOLTAGE} in turn, both voltage; end one, '
+                'give it a topic of its own, or choose one with commands.voltage.publisher')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+    path = file(commands={'voltage': {'topic': VOLTAGE, 'type': 'std_msgs/msg/Float64',
+                                      'field': 'data', 'publisher': '/controller'}})
+    good = says('check: all would work', status=0)
+    done = robot.run_until(good, 'check', '--params-file', path)
+    assert good(done), done.stdout + done.stderr
+    values = next(line for line in done.stdout.splitlines() if line[MARK:].startswith('voltage '))
+    assert values.endswith('  5'), values  # what the other says is not looked at
+
+
+def test_stamps_since_boot_and_a_field_that_never_comes(robot, file):
+    boot = time.time() - 5000.0
+    robot.drive('driver', JointState, RAW, lambda t: JointState(
+        name=['motor'], position=[1.0], velocity=[2.0]), late=boot)
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    good = says(f'{RAW} speaks, but its stamps are of another clock (',
+                "behind this node's: time since boot, or of a simulation?); stamp with the ROS "
+                'clock', 'y3: the array is too short for effort[motor]')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+    rows = done.stdout.partition('IF IT FAILED NOW')[2].splitlines()
+    assert not any(row.startswith('ok') and row[MARK:].startswith('y3') for row in rows), rows
+
+
+def test_a_sensor_that_never_comes_is_not_well_though_it_could_be_replaced(robot, file):
+    robot.drive('driver', JointState, RAW, lambda t: JointState(
+        name=['motor'], position=[1.0], velocity=[], effort=[3.0]))
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    good = says('WARN y2: is not heard itself; virtual sensor ready')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+
+
+def test_stamps_in_whole_seconds_are_not_called_late(robot, file):
+    robot.drive('driver', JointState, RAW, joints(), whole=True)
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    good = says(f'the stamps on {RAW} repeat: ', 'stamp each when it is measured')
+    done = robot.run_until(good, 'check', '--params-file', file())
+    assert good(done), done.stdout + done.stderr
+    assert 'chrony' not in flat(done)
+
+
+def test_the_file_may_stand_after_ros_args(robot, file):
+    robot.drive('driver', JointState, RAW, joints())
+    robot.drive('controller', Float64, VOLTAGE, volts)
+    robot.isolate()
+    good = says('check: all would work', status=0)
+    path = file()
+    for seconds in (3, 12, 50):
+        done = robot.run('check', '--for', seconds, '--ros-args', '--params-file', path)
+        if good(done):
+            break
+    assert good(done), done.stdout + done.stderr
+    done = robot.run('check', '--for', 1)
+    assert done.returncode == 2 and '--params-file is needed' in done.stderr
 
 
 def test_late_stamps_alone_are_a_warning(robot, file):

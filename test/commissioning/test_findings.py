@@ -12,6 +12,7 @@ from vsensor_ros.commissioning.findings import (
     ISOLATION,
     judge,
     judge_clock,
+    logged,
     OUTPUT,
     Use,
     WARN,
@@ -24,7 +25,8 @@ LACKING = Reason.of('not in the message', field='position[elbow]')
 
 
 def party(node='/driver', kind=RANGE, mismatch=''):
-    return SimpleNamespace(node=node, type=kind, mismatch=mismatch)
+    return SimpleNamespace(node=node, type=kind, mismatch=mismatch,
+                           mend='change it there' if mismatch else '')
 
 
 def said(found=100, nan=0, lack=None):
@@ -33,7 +35,7 @@ def said(found=100, nan=0, lack=None):
 
 def sound(count=100, rate=100.0, age=(0.001, 0.001), **more):
     return SimpleNamespace(**{'count': count, 'rate': rate, 'age': age, 'unreadable': 0,
-                              'longest': 0.02, 'returns': 0, 'names': {}, **more})
+                              'longest': 0.02, 'returns': 0, 'repeated': 0, 'names': {}, **more})
 
 
 DRIVER = party()
@@ -111,6 +113,9 @@ def test_a_missing_joint():
     level, text = one(findings(use(heard=heard, field=said(0, lack=LACKING),
                                    path='position[elbow]')))
     assert level == FAIL and text.endswith('did you mean position[elbow1]?')
+    heard = sound(names={'elbow': None})  # but no position of it
+    assert one(findings(use(heard=heard, field=said(0, lack=LACKING), path='position[elbow]')))[
+        1].endswith('name a field that its messages have')
     heard = sound(names={f'joint{i}': None for i in range(9)})
     assert one(findings(use(heard=heard, field=said(0, lack=LACKING), path='position[elbow]')))[
         1].endswith('there are joint0, joint1, joint2, joint3, joint4, joint5 and 3 more')
@@ -130,7 +135,43 @@ def test_stamps(age, spread, level, words):
     assert said_level == level and words in text
 
 
+def test_stamps_of_another_clock_are_told_as_the_replacer_tells_it():
+    level, text = one(findings(use(heard=sound(age=(1.7e9, 0.0))), now=1.7000001e9))
+    assert level == FAIL and text.startswith(
+        "/y_raw speaks, but its stamps are of another clock (1700000000 s behind this node's: "
+        'time since boot, or of a simulation?); ')
+
+
+def test_stamps_that_repeat_are_not_called_late():
+    whole = sound(age=(0.5, 0.45), repeated=98)  # a message every 10 ms, a stamp every 1 s
+    level, text = one(findings(use(heard=whole), max_age={'y': 2.0}))
+    assert (level, text) == (
+        WARN, 'the stamps on /y_raw repeat: 98 of 100 are that of the message before, so these '
+        'readings are not used; stamp each when it is measured')
+    assert one(findings(use(heard=whole)))[0] == FAIL  # silent in between
+    assert one(findings(use(heard=sound(age=(3.0, 1.0), repeated=99))))[0] == FAIL
+    assert one(findings(use(COMMAND, [party(kind=NUMBER)], whole)))[0] == WARN
+    assert 'late' in one(findings(use(heard=sound(age=(0.3, 0.0), repeated=40))))[1]
+
+
+def test_nothing_is_late_by_a_clock_that_stands_still():
+    late = use(heard=sound(age=(-111.0, 5.0)))
+    assert findings(late, simulated=True, clock_moves=False) == []
+    assert one(findings(late, simulated=True, clock_moves=True))[0] == FAIL
+
+
+def test_an_error_of_the_replacer_is_about_the_topics_that_it_names():
+    topics = ['/y', '/y_raw', '/isolation', '/y']
+    assert [(f.level, f.topics, str(f)) for f in logged([
+        'the stamps on /y_raw are off', '/isolation: no sensor', 'all is lost',
+        'Traceback (most recent call last):\n  here\nValueError: no'], topics)] == [
+        (WARN, ('/y_raw',), 'the stamps on /y_raw are off'),
+        (WARN, ('/isolation',), '/isolation: no sensor'), (WARN, (), 'all is lost'),
+        (WARN, (), 'ValueError: no')]
+
+
 def test_a_command_of_another_clock_is_a_warning():
+    assert one(findings(use(COMMAND, [party(kind=NUMBER)], sound(age=(1.7e9, 0.0)))))[0] == WARN
     assert one(findings(use(COMMAND, [party(kind=NUMBER)], sound(age=(-0.3, 0.0)))))[0] == WARN
 
 
@@ -143,8 +184,12 @@ def test_a_sensor_that_is_slower_than_its_silence():
 def test_two_publishers():
     both = [party('/a'), party('/b')]
     assert one(findings(use(INPUT, both, sound(returns=50)))) == (
-        FAIL, '/a and /b publish on /y_raw in turn, both y; end one, or give it a topic of its '
-        'own')
+        FAIL, '/a and /b publish on /y_raw in turn, both y; end one, give it a topic of its own, '
+        'or choose one with sensors.y.publisher')
+    numbers = [party('/a', NUMBER), party('/b', NUMBER)]
+    assert one(findings(use(COMMAND, numbers, sound(returns=50)))) == (
+        FAIL, '/a and /b publish on /u in turn, both u; end one, give it a topic of its own, or '
+        'choose one with commands.u.publisher')
     assert one(findings(use(INPUT, both)))[0] == WARN  # one may be quiet
     assert findings(use(INPUT, both, sound(returns=50), said(50, lack=LACKING))) == []
     assert '/a (2 times)' in one(findings(use(INPUT, [party('/a'), party('/a')])))[1]

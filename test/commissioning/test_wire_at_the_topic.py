@@ -10,6 +10,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import pytest
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, Range
@@ -122,6 +123,23 @@ def test_a_raw_topic_is_an_input_and_a_file_is_not_overwritten(robot, tmp_path):
     done = robot.run('wire', plant_of('servo'), '--output', path, '--yes')
     assert done.returncode == 2 and 'is there already' in done.stderr
     assert path.read_bytes() == before
+
+
+def test_only_a_listener_that_would_hear_nothing_is_noted(robot, tmp_path):
+    servo(robot, '')
+    robot.hear('rviz', JointState, '/servo/joint_states')
+    robot.hear('watch', JointState, '/servo/joint_states',
+               QoSProfile(depth=1, deadline=Duration(seconds=0.1)))
+    path = tmp_path / 'replacer.yaml'
+
+    def good(done):
+        return done.returncode == 0 and (
+            '# /watch would not hear it there (deadline is none, wanted 100000000): change it '
+            'there, or here with qos_overrides./servo/joint_states.publisher.deadline: 100000000'
+            ) in path.read_text()
+    done = robot.run_until(good, 'wire', plant_of('servo'), '--output', path, '--yes', '--force')
+    assert good(done), done.stdout + done.stderr + path.read_text()
+    assert '/rviz would' not in path.read_text()
 
 
 def test_what_is_not_found_is_left_to_be_filled_in(robot, tmp_path):

@@ -1,5 +1,6 @@
 """The engine, told of events without any node: what it forwards, says and shows."""
 
+from dataclasses import replace
 import math
 from pathlib import Path
 import sys
@@ -270,3 +271,30 @@ def test_to_look_changes_nothing(bench):
         m.isolate('y2')
         m.step(2.0, 99.0, 5)
     assert [c.fields for c in looked.sent] == [c.fields for c in other.sent]
+
+
+def test_a_reserve_that_reads_no_sensor_is_ready_though_stamps_are_of_another_clock(bench):
+    m = Machine(bench)
+    alone = [bench.virtual_sensor([], [], Q=[], fault_set=('y1', 'y2'), healthy=(), channel=name)
+             for name in ('y1', 'y2')]
+    twice = bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',))
+    for more, ready in (((), False), (alone, True)):
+        m.setup = replace(m.setup, design=bench.design(twice, *more))
+        m.engine = Engine(m.setup)
+        m.engine.look(m.now, 0.0)
+        m.engine.activate()
+        for _ in range(200):
+            m.now += PERIOD
+            m.hear(0, 1.5, stamp=m.now - 900 * SECOND)
+            m.hear(1, 3.0)
+            m.pass_time()
+            m.engine.changed()  # as the node asks now and then
+        y1, y2 = m.state('y1'), m.state('y2')
+        assert (y1.source, y1.reason.code) == ('real', 'input of another clock')
+        assert (y2.source, y2.reserve is None) == ('real', ready)
+        m.isolate('y2')
+        m.pass_time(1)
+        served = m.state('y2')
+        assert (served.source == 'virtual') == ready  # it was true
+        if ready:
+            assert served.fault_set == ('y1', 'y2')

@@ -95,3 +95,13 @@ def test_what_is_no_parameter_file_is_refused(tmp_path, text, told):
     with pytest.raises(BadInput, match=told) as refusal:
         read_parameters(tmp_path / 'replacer.yaml')
     assert 'replacer.yaml' in str(refusal.value) and '\n' not in str(refusal.value)
+
+
+def test_a_file_for_a_node_of_another_name_is_told_as_the_replacer_tells_it(tmp_path):
+    path = tmp_path / 'replacer.yaml'
+    path.write_text(f'replacer: {BODY}')
+    with pytest.raises(BadInput) as refusal:
+        read_parameters(path, ['-r', '__ns:=/robot1'])
+    assert str(refusal.value).endswith(
+        'is for /replacer, but this node is /robot1/replacer; write /**: or /robot1/replacer: '
+        'above it')

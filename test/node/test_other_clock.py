@@ -39,6 +39,19 @@ def test_stamps_since_boot(machine):
             publisher.publish(message)
     m.engineer.create_timer(0.02, send)
     assert m.spin_until(lambda: len(heard) > 10)  # as they came
+    hardly = []  # what is said of y1 while all is well
+    m.engineer.create_subscription(DiagnosticArray, '/diagnostics', lambda a: hardly.extend(
+        s for s in a.status if s.name == 'replacer: y1' and s.level == b'\1'), 10)
+    assert m.spin_until(lambda: any(
+        'its stamps are of another clock' in s.message and 'time since boot' in s.message
+        and 'no virtual sensor can use it' in s.message for s in hardly)), hardly
+
+    def reserve(name):
+        said = next(({v.key: v.value for v in s.values} for s in told[-1].status
+                     if s.name == name), {})
+        return said['source'], said['reserve'], said['reserve_reason']
+    assert m.spin_until(lambda: reserve('y2')[:2] == ('real', 'not ready'))  # it reads y1 only
+    assert 'its stamps are of another clock' in reserve('y2')[2]
     m.isolate('y2')  # its virtual sensor reads y1
 
     def reason():
@@ -49,6 +62,10 @@ def test_stamps_since_boot(machine):
     assert abs(ago - time.time()) < 3600
     assert "behind this node's: time since boot, or of a simulation?)" in reason()
     assert 'silent' not in reason()
+
+
+def state_of(r, name):
+    return next(c for c in r.replacer.snapshot().channels if c.name == name)
 
 
 def step(r, stamp):
@@ -73,6 +90,26 @@ def test_other_stamps(rig, parameters, off, told):
     for _ in range(3):
         step(r, r.now + off)
     assert f'y1 speaks, but its stamps are {told}' in r.why('y2')
+
+
+@pytest.mark.parametrize('off, apart', [
+    (0, False), (-S // 4, False), (S // 20, False), (-2 * S, True), (30 * S, True)])
+def test_stamps_that_nobody_can_use_are_told_while_all_is_well(rig, parameters, off, apart):
+    r = rig(parameters)
+    for _ in range(60):
+        step(r, r.now + off)
+    assert state_of(r, 'y1').reason is None  # it may pass
+    for _ in range(200):
+        step(r, r.now + off)
+    state = state_of(r, 'y1')
+    assert state.source == 'real' and (state.reason is not None) == apart
+    if apart:
+        assert state.reason.code == 'input of another clock'
+        assert state.reason.fact('seconds') == pytest.approx(off / S, abs=0.05)
+        assert state_of(r, 'y2').reserve.code == 'input of another clock'
+    for _ in range(10):
+        step(r, r.now)
+    assert state_of(r, 'y1').reason is None
 
 
 @pytest.mark.parametrize('off', [0, -900 * S, 30 * S])

@@ -5,6 +5,7 @@ import time
 
 import pytest
 from rclpy.context import Context
+from rclpy.duration import Duration, Infinite
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -14,7 +15,7 @@ from sensor_msgs.msg import Range
 from vsensor_ros.node.known import Refused
 from vsensor_ros.node.parameters import read, watch
 from vsensor_ros.node.polling import LISTEN
-from vsensor_ros.node.qos import qos_options
+from vsensor_ros.node.qos import mends, misfit, qos_options
 
 Y1 = 'qos_overrides./y1_raw.subscription'
 
@@ -151,3 +152,17 @@ def test_a_topic_that_is_not_understood_is_the_only_problem(start):
     with pytest.raises(Refused) as raised:
         read(start({'sensors.y1.type': 'sensor_msgs/msg/Rnge', f'{Y1}.depth': 5}))
     assert len(raised.value.problems) == 1
+
+
+def test_a_profile_that_was_never_opened_is_compared_as_if_it_were():
+    plain, seen = QoSProfile(depth=10), QoSProfile(
+        depth=10, deadline=Infinite, lifespan=Infinite, liveliness_lease_duration=Infinite)
+    assert misfit(plain, seen) == misfit(seen, plain) == misfit(seen, seen) == ''
+    wanted = QoSProfile(depth=1, deadline=Duration(nanoseconds=10**8))
+    for offered in (plain, seen):
+        assert misfit(offered, wanted) == 'deadline is none, wanted 100000000'
+        assert mends(offered, wanted, '/y', 'publisher') == [
+            'qos_overrides./y.publisher.deadline: 100000000']
+    assert misfit(QoSProfile(depth=1, deadline=Duration(nanoseconds=10**8)), wanted) == ''
+    assert misfit(QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT), plain) == \
+        'reliability is best_effort, wanted reliable'

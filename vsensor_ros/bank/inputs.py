@@ -20,7 +20,7 @@ AHEAD = Reason.of('ahead of the clock')
 _NOTHING = np.zeros(0)
 # ns that a stamp may lie ahead: clocks of two machines differ by milliseconds, and that of a
 # simulation comes in steps. For so long one bad stamp shuts out the good ones after it
-_MOST_AHEAD = 100_000_000
+MOST_AHEAD = 100_000_000
 
 
 class Inputs:
@@ -74,7 +74,7 @@ class Inputs:
         samples = self.samples[name]
         if not -LARGEST < value < LARGEST:
             return NOT_FINITE
-        if stamp > latest + min(age, _MOST_AHEAD):
+        if stamp > latest + min(age, MOST_AHEAD):
             return AHEAD
         if self._floors and stamp <= self._floors.get(name, -math.inf):
             self._heard[name] = max(stamp, self._heard.get(name, stamp))
@@ -124,7 +124,7 @@ class Inputs:
             samples.drop_after(now + self._ahead(name))
 
     def _ahead(self, name: str) -> int:
-        return min(self.ages.get(name, self.oldest), _MOST_AHEAD)
+        return min(self.ages.get(name, self.oldest), MOST_AHEAD)
 
     def distrust(self, names: Collection[str], now: int | None) -> None:
         """Believe only readings of these sensors that come after they are trusted again."""

@@ -12,7 +12,7 @@ import math
 from pathlib import Path
 import sys
 
-from vsensor_ros.command.run import run
+from vsensor_ros.command.run import parameter_file, run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,8 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog='check', description='Listen beside a robot and say what would not work when a '
         'sensor fails: topics, types, QoS, rates, stamps, fields, and whether each sensor could '
         'be replaced now. Nothing is published.')
-    parser.add_argument('--params-file', type=Path, required=True, metavar='FILE',
-                        help="the replacer's parameter file")
+    parser.add_argument('--params-file', type=Path, metavar='FILE',
+                        help="the replacer's parameter file; or the first after --ros-args")
     parser.add_argument('--for', type=float, default=5.0, metavar='SECONDS', dest='seconds',
                         help='how long to listen (default: %(default)g); until the virtual '
                         'sensors have warmed up, if it is to be seen that they do')
@@ -31,10 +31,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if not 0.0 < given.seconds < math.inf:
         parser.error('--for must be positive')
+    path = parameter_file(given.params_file, given.ros_args)
+    if path is None:
+        parser.error('--params-file is needed')
 
     def act() -> int:
         from vsensor_ros.commissioning.check import check
-        return check(given.params_file, given.seconds, given.ros_args)
+        return check(path, given.seconds, given.ros_args)
     return run('check', act)
 
 

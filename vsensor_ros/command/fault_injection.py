@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 
-from vsensor_ros.command.run import run
+from vsensor_ros.command.run import parameter_file, run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,17 +33,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[],
                         help='what follows is for ROS: for the replacer and for these nodes')
     given = parser.parse_args(arguments)
-    if not given.list and (given.plant is None or given.params_file is None):
+    path = parameter_file(given.params_file, given.ros_args)
+    if not given.list and (given.plant is None or path is None):
         parser.error('--plant and --params-file are needed, but for --list')
 
     def act() -> int:
         from vsensor_ros.lab.injection.suite import choose
         from vsensor_ros.lab.injection.table import inject_and_show, list_cases
         cases = choose(given.only, given.quick)
-        if given.list:
+        if given.list or path is None:
             list_cases(cases)
             return 0
-        return inject_and_show(given.plant, given.params_file, given.scenario, cases,
+        return inject_and_show(given.plant, path, given.scenario, cases,
                                given.running, given.report, given.ros_args)
     return run('fault_injection', act)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from itertools import pairwise
 import os
 from pathlib import Path
 import signal
@@ -42,6 +43,12 @@ def run(command: str, act: Callable[[], int], stopped: int = INTERRUPTED) -> int
         if stopped:
             print(f'{command}: stopped', file=sys.stderr)
         return stopped
+
+
+def parameter_file(named: Path | None, ros_args: Sequence[str]) -> Path | None:
+    """Return the parameter file of a command line: the one named, else the first for ROS."""
+    return named or next((Path(value) for flag, value in pairwise(ros_args)
+                          if flag == '--params-file'), None)
 
 
 def prepare_environment() -> None:

@@ -26,9 +26,9 @@ from vsensor_ros.commissioning.findings import (
     ISOLATION,
     judge,
     judge_clock,
+    logged,
     OUTPUT,
     Use,
-    WARN,
     World,
 )
 from vsensor_ros.commissioning.neighbours import listeners, publishers, types_of_topics
@@ -93,7 +93,8 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
     replacer = Replacer(node, settings)
     group = Polled()
     uses = uses_of(settings)
-    ears = {(use.topic, use.role): Ear(node, group, use.topic, LISTEN, _readers(replacer, use))
+    ears = {(use.topic, use.role): Ear(node, group, use.topic, LISTEN, _readers(replacer, use),
+                                          _choosing(settings, use))
             for use in uses if use.role in (INPUT, COMMAND)}
     _hear(replacer, ears.values(), seconds)
     seen = {(use.topic, use.role): _seen(node, replacer, use, ears.get((use.topic, use.role)))
@@ -104,19 +105,19 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
         frozenset(use.topic for use in uses), settings.max_age,
         all(policy.silent_is_faulty for policy in settings.live.policies.values()),
         replacer.simulated, replacer.engine.now != 0 and state.stopped is None,
-        tuple(p.node for p in publishers(node, '/clock')))
+        tuple(p.node for p in publishers(node, '/clock')), replacer.engine.now * 1e-9)
     findings = judge_clock(world)
     for use in seen.values():
         findings += judge(use, seen, world)
-    findings += [Finding(WARN, (settings.isolation_topic,), '', said.partition('\n')[0],
-                         '') for said in node.notebook.errors]
+    findings += logged(node.notebook.errors, (use.topic for use in uses))
     if state.faulty:
         findings.append(Finding(
             FAIL, (settings.isolation_topic,), '', 'isolation says that '
             f'{", ".join(state.faulty)} is faulty now', 'repair it, or have isolation say that '
             'all are healthy'))
     findings.sort(key=lambda f: -f.level)
-    outlooks = [outlook(c, replacer.engine.reserve(c.name), settings.design, uses, findings)
+    outlooks = [outlook(c, replacer.engine.reserve(c.name), settings.design,
+                        tuple(seen.values()), findings)
                 for c in sorted(state.channels,
                                 key=lambda c: settings.design.sensors.index(c.name))]
     replacer.close()
@@ -150,6 +151,14 @@ def _readers(replacer: Replacer, use: Use) -> list[Reader]:
     inlets = replacer.inlets[len(replacer.topics):]  # one a command
     return [inlet.reader for inlet, command in zip(inlets, replacer.settings.commands)
             if command.name in use.channels]
+
+
+def _choosing(settings: Settings, use: Use) -> list[Sensor | Command]:
+    """Return the ends by which messages of some publishers are left out, as the replacer does."""
+    if use.role == COMMAND and len(use.chosen) < len(use.channels):
+        return []  # another command there hears them all
+    ends: Sequence[Sensor | Command] = settings.sensors if use.role == INPUT else settings.commands
+    return [end for end in ends if end.name in use.chosen]
 
 
 def _hear(replacer: Replacer, ears: Collection[Ear], seconds: float) -> None:

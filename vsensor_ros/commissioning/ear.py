@@ -12,7 +12,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from vsensor_ros.node.cdr import decode, Reader, Reading
-from vsensor_ros.node.polling import drain, Polled, subscribe
+from vsensor_ros.node.endpoints import Command, Sensor
+from vsensor_ros.node.inlet import Inlet
+from vsensor_ros.node.polling import DEPTH, Polled, subscribe
 from vsensor_ros.reason import Reason
 
 MOST = 100_000  # ages and intervals that are kept of one topic
@@ -53,6 +55,7 @@ class Heard:
     last: float = math.nan
     longest: float = 0.0  # between two of them
     returns: int = 0  # times that the number of a message fell behind: two publishers take turns
+    repeated: int = 0  # whose stamp is that of the message before, with the same fields
     ages: deque[float] = field(default_factory=lambda: deque(maxlen=MOST))  # arrival - stamp
     names: dict[str, None] = field(default_factory=dict)  # of elements, of messages that lack one
 
@@ -79,20 +82,29 @@ class Ear:
     """Listens to one topic."""
 
     def __init__(self, node: Node, group: Polled, topic: str, qos: QoSProfile,
-                 readers: Sequence[Reader]) -> None:
-        """Subscribe as the replacer would; readers: what is to be looked at, of one type."""
+                 readers: Sequence[Reader], choosing: Sequence[Sensor | Command] = ()) -> None:
+        """
+        Subscribe as the replacer would; readers: what is to be looked at, of one type.
+
+        choosing: those whose publishers alone are to be heard.
+        """
         self.kind = kind = readers[0].kind
         self.heard = Heard({accessor.path: FieldHeard() for reader in readers
                             for accessor in reader.accessors})
         self.subscription = subscribe(node, group, kind, topic, qos)
+        self._inlet = Inlet(node, self.subscription, readers[0], choosing, lambda: None)
         self._readers = readers
+        self._stamp: tuple[int, list[bool]] | None = None  # the last one, and who was there
         self._stamped = kind.get_fields_and_field_types().get('header') == 'std_msgs/Header'
         self._number = -1  # of the last message, by its publisher's count
         self._left = LOOKED_AT
 
     def listen(self, simulated: int | None = None) -> None:
         """Take what has come; simulated: the time [ns] by which stamps are judged, if any is."""
-        for raw, info in drain(self.subscription):
+        for _ in range(DEPTH):
+            if (taken := self._inlet.take(self.kind, True)) is None:
+                break
+            raw, info = taken
             received = info['received_timestamp']
             self._count(received * 1e-9, info.get('publication_sequence_number'))
             readings = [reading for reader in self._readers
@@ -103,6 +115,10 @@ class Ear:
             if readings[0].stamp is not None:
                 now = received if simulated is None else simulated
                 self.heard.ages.append((now - readings[0].stamp) * 1e-9)
+                stamp = readings[0].stamp, [isinstance(v, Reason) for r in readings
+                                            for v in r.values]
+                self.heard.repeated += stamp == self._stamp
+                self._stamp = stamp
             elif self._stamped:
                 self.heard.unstamped += 1
             for reader, reading in zip(self._readers, readings):

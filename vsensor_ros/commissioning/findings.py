@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 import math
+import re
 from typing import Protocol
 
 from vsensor_ros.commissioning.likeness import bracketed, nearest, nearest_topic
@@ -20,7 +21,8 @@ NOTE, WARN, FAIL = range(3)
 INPUT, COMMAND, OUTPUT, ISOLATION = 'input', 'command', 'output', 'isolation'
 LATE = 0.05  # s between arrival and stamp, or of its spread, from which it is worth a word
 AHEAD = 0.1  # s that a stamp may lie ahead of the clock; beyond, a reading is refused
-ELSEWHERE = 3600.0  # s from which stamps are those of another clock
+ELSEWHERE = 60.0  # s from which stamps are those of another clock
+REPEATED = 0.5  # part of the stamps that may be that of the message before
 MOST_NAMED = 6  # names that are listed
 
 
@@ -53,6 +55,10 @@ class Party(Protocol):
     def mismatch(self) -> str:
         """How its QoS does not fit; '' when it does."""
 
+    @property
+    def mend(self) -> str:
+        """What to do about that."""
+
 
 class Field(Protocol):
     """What a field said; see `FieldHeard`."""
@@ -69,6 +75,7 @@ class Sound(Protocol):
     unreadable: int
     longest: float
     returns: int
+    repeated: int
     names: dict[str, None]
 
     @property
@@ -110,6 +117,7 @@ class World:
     simulated: bool  # use_sim_time
     clock_moves: bool  # /clock was heard, and went on
     clock_publishers: tuple[str, ...]
+    now: float = 0.0  # s, of the replacer's clock
 
     def strangers(self) -> dict[str, str]:
         """Return the topics that the parameters do not name."""
@@ -139,6 +147,19 @@ def judge_clock(world: World) -> list[Finding]:
     return []
 
 
+def logged(errors: Iterable[str], topics: Iterable[str]) -> list[Finding]:
+    """Return what the replacer itself would log as errors, each with the topics that it names."""
+    there = list(dict.fromkeys(topics))
+    found = []
+    for text in errors:
+        first, *more = text.strip().splitlines() or ['']
+        line = more[-1] if more and first.startswith('Traceback') else first
+        found.append(Finding(WARN, tuple(
+            topic for topic in there
+            if re.search(rf'(?<![\w/]){re.escape(topic)}(?![\w/])', line)), '', line, ''))
+    return found
+
+
 # ------------------------------------------------------------------------ who publishes there
 
 
@@ -155,8 +176,7 @@ def _published(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> l
         elif other.mismatch:
             found.append(Finding(
                 FAIL, (use.topic,), '', f'the QoS of {other.node} on {use.topic} does not fit '
-                f'({other.mismatch}), so nothing is heard', 'change it there, or here with '
-                f'qos_overrides.{use.topic}.subscription'))
+                f'({other.mismatch}), so nothing is heard', other.mend))
     if right and not found and use.heard is not None and not use.heard.count:
         who = ', '.join(dict.fromkeys(p.node for p in right))
         found.append(Finding(
@@ -229,9 +249,10 @@ def _meant(path: str, names: Iterable[str]) -> str:
     """Say which element was meant, of those that messages have."""
     start, bracket, element = path.rpartition('[')
     there = list(names)
-    if not bracket or not there:
+    element = element.strip("]'\"")
+    if not bracket or not there or element in there:
         return 'name a field that its messages have'
-    near = nearest(element.strip("]'\""), there)
+    near = nearest(element, there)
     if near is not None:
         return f'did you mean {start}{bracketed(near)}?'
     more = f' and {len(there) - MOST_NAMED} more' if len(there) > MOST_NAMED else ''
@@ -241,29 +262,40 @@ def _meant(path: str, names: Iterable[str]) -> str:
 def _stamps(use: Use, world: World) -> list[Finding]:
     assert use.heard is not None
     age, spread = use.heard.age
-    if math.isnan(age):
-        return []
+    if math.isnan(age) or (world.simulated and not world.clock_moves):
+        return []  # there is nothing to judge by
     oldest = max((world.max_age.get(name, math.inf) for name in use.channels), default=math.inf)
+    serious = FAIL if use.role == INPUT else WARN  # a command counts from its arrival, then
 
     def say(level: int, what: str, mend: str) -> list[Finding]:
-        return [Finding(level, (use.topic,), '', f'the stamps on {use.topic} are {what}', mend)]
+        return [Finding(level, (use.topic,), '', f'the stamps on {use.topic} {what}', mend)]
     own = 'its clock' if not world.simulated else '/clock'
     if abs(age) > ELSEWHERE:
-        return say(FAIL, f'{_time(abs(age))} {"behind" if age > 0.0 else "ahead"}: they are of '
-                   'another clock', 'stamp with the ROS clock, and set use_sim_time alike')
+        return [Finding(serious, (use.topic,), '', str(Reason.of(
+            'input of another clock', name=use.topic, seconds=-age, clock=world.now)),
+            'stamp with the ROS clock, and set use_sim_time alike')]
+    if use.heard.repeated > REPEATED * use.heard.count:  # then they say nothing of lateness
+        return say(serious if _between_stamps(use.heard) > oldest else WARN,
+                   f'repeat: {use.heard.repeated} of {use.heard.count} are that of the message '
+                   'before, so these readings are not used', 'stamp each when it is measured')
     if age < -AHEAD:
-        return say(FAIL if use.role == INPUT else WARN, f'{_time(-age)} ahead of {own}',
+        return say(serious, f'are {_time(-age)} ahead of {own}',
                    'let both computers keep the same time (chrony), or set use_sim_time alike')
     if age > oldest:
-        return say(FAIL, f'{_time(age)} late, older than max_age ({oldest:g} s)', 'let both '
+        return say(FAIL, f'are {_time(age)} late, older than max_age ({oldest:g} s)', 'let both '
                    'computers keep the same time (chrony), find what delays it, or raise max_age')
     if age > LATE:
-        return say(WARN, f'{_time(age)} late', 'let both computers keep the same time (chrony), '
-                   'or find what delays it')
+        return say(WARN, f'are {_time(age)} late', 'let both computers keep the same time '
+                   '(chrony), or find what delays it')
     if spread > max(LATE, oldest / 2.0 if math.isfinite(oldest) else 0.0):
-        return say(WARN, f'uneven: {_time(age)} +- {_time(spread)} old', 'stamp when it is '
+        return say(WARN, f'are uneven: {_time(age)} +- {_time(spread)} old', 'stamp when it is '
                    'measured, and find what delays it')
     return []
+
+
+def _between_stamps(heard: Sound) -> float:
+    """Return the time [s] between two stamps that differ, in the mean."""
+    return heard.count / max(1, heard.count - heard.repeated - 1) / heard.rate
 
 
 def _time(seconds: float) -> str:
@@ -302,19 +334,24 @@ def _twice(use: Use) -> list[Finding]:
               and name not in use.chosen]
     if not shared:
         return []
-    if use.heard.returns and use.role == INPUT:
+    choose = ' and '.join(f'{_group(use)}.{name}.publisher' for name in shared)
+    if use.heard.returns:
         return [Finding(FAIL, (use.topic,), '', f'{who} publish on {use.topic} in turn, both '
-                        f'{", ".join(shared)}', 'end one, or give it a topic of its own')]
+                        f'{", ".join(shared)}', 'end one, give it a topic of its own, or choose '
+                        f'one with {choose}')]
     return [Finding(WARN, (use.topic,), '', f'{who} publish on {use.topic}, and their fields are '
                     'the same', 'end one, unless only one speaks at a time')]
+
+
+def _group(use: Use) -> str:
+    return 'commands' if use.role == COMMAND else 'sensors'
 
 
 def _chosen(use: Use) -> list[Finding]:
     """Find nodes that were chosen and do not publish."""
     there = {p.node for p in use.publishers}
-    group = 'commands' if use.role == COMMAND else 'sensors'
     return [Finding(FAIL, (use.topic,), name, f'{name}: {node} was chosen, and does not publish '
-                    f'on {use.topic}', f'start it, or correct {group}.{name}.publisher')
+                    f'on {use.topic}', f'start it, or correct {_group(use)}.{name}.publisher')
             for name, node in use.chosen.items() if there and node not in there]
 
 
@@ -343,6 +380,5 @@ def _output(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> list
         elif other.mismatch:
             found.append(Finding(
                 FAIL, (use.topic,), '', f'{other.node} would hear nothing on {use.topic}: its QoS '
-                f'does not fit ({other.mismatch})', 'change it there, or here with '
-                f'qos_overrides.{use.topic}.publisher'))
+                f'does not fit ({other.mismatch})', other.mend))
     return found

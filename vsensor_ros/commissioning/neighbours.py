@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
+from rclpy.qos import QoSProfile
 
-HIDDEN = '_NODE_NAME_UNKNOWN_'  # of a node that is discovered in part
+from vsensor_ros.node.graph import full_name, unfit
 
 
 @dataclass(frozen=True)
@@ -19,26 +19,23 @@ class Neighbour:
     node: str  # its full name
     type: str  # package/msg/Name
     mismatch: str = ''  # how its QoS does not fit ours; '' when it does
-
-    @property
-    def fits(self) -> bool:
-        """Whether messages would pass, the type aside."""
-        return not self.mismatch
+    mend: str = ''  # what to do about that
 
 
 def publishers(node: Node, topic: str, ours: Sequence[QoSProfile] = ()) -> tuple[Neighbour, ...]:
     """Return who publishes on a topic; ours: what we hear it with, one that fits will do."""
-    return _neighbours(node.get_publishers_info_by_topic(topic), [
-        lambda other, own=own: qos_check_compatible(other, own) for own in ours])
+    return _sorted(Neighbour(_name(e), e.topic_type, *unfit(
+        [(e.qos_profile, own) for own in ours], topic, False))
+        for e in node.get_publishers_info_by_topic(topic))
 
 
 def listeners(node: Node, topic: str, ours: QoSProfile | None = None) -> tuple[Neighbour, ...]:
     """Return who listens on a topic, other than this node; ours: what we would send with."""
     own = node.get_name(), node.get_namespace()
-    return _neighbours(
-        (e for e in node.get_subscriptions_info_by_topic(topic)
-         if (e.node_name, e.node_namespace) != own),
-        [] if ours is None else [lambda other: qos_check_compatible(ours, other)])
+    return _sorted(Neighbour(_name(e), e.topic_type, *unfit(
+        [] if ours is None else [(ours, e.qos_profile)], topic, True))
+        for e in node.get_subscriptions_info_by_topic(topic)
+        if (e.node_name, e.node_namespace) != own)
 
 
 def types_of_topics(node: Node) -> Mapping[str, str]:
@@ -47,17 +44,9 @@ def types_of_topics(node: Node) -> Mapping[str, str]:
             if types and node.count_publishers(topic)}
 
 
-def _neighbours(endpoints: Iterable[Any], checks: Sequence[Any]) -> tuple[Neighbour, ...]:
-    found = []
-    for endpoint in endpoints:
-        said = [check(endpoint.qos_profile) for check in checks]
-        wrong = said and all(fit == QoSCompatibility.ERROR for fit, _ in said)
-        found.append(Neighbour(_name(endpoint), endpoint.topic_type,
-                               said[0][1].strip().rstrip(';') if wrong else ''))
+def _sorted(found: Iterable[Neighbour]) -> tuple[Neighbour, ...]:
     return tuple(sorted(found, key=lambda n: (n.node, n.type)))
 
 
 def _name(endpoint: Any) -> str:
-    if endpoint.node_name == HIDDEN:
-        return 'a node without a name yet'
-    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+    return full_name(endpoint) or 'a node without a name yet'

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 
-from vsensor_ros.commissioning.findings import FAIL, Finding, NOTE, Use, WARN
+from vsensor_ros.commissioning.findings import FAIL, Finding, INPUT, NOTE, Use, WARN
 from vsensor_ros.engine import ChannelState
 from vsensor_ros.node.reserve import Chance, chance
 from vsensor_ros.observers import Design, Refusal
@@ -33,17 +33,23 @@ def outlook(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None, 
     name, why = state.name, state.reserve
     if (refused := _refused(name, design)) is not None:
         return Outlook(name, NOTE, f'not replaced, by design: {_short(refused)}', False)
-    if why is None:
-        return Outlook(name, NOTE, _ready(state, reserve, design))
     hope = chance(why)
-    if hope is Chance.PASSES:
-        return Outlook(name, NOTE, f'virtual sensor warms up: {why}')
+    if why is None or hope is Chance.PASSES:
+        text = _ready(state, reserve, design) if why is None else f'virtual sensor warms up: {why}'
+        return Outlook(name, NOTE, text) if _speaks(name, uses) else Outlook(
+            name, WARN, f'is not heard itself; {text}')
     if hope is Chance.NEVER and not state.fault_set:
         return Outlook(name, NOTE, f'not replaced, by design: {why}', False)
     while why.code == 'next best':
         why = why.fact('next' if chance(why.fact('exact')) is Chance.NEVER else 'exact')
     cause = _cause(name, why, uses, findings)
     return Outlook(name, FAIL, f'cannot be replaced now: {cause or why}')
+
+
+def _speaks(name: str, uses: Sequence[Use]) -> bool:
+    """Tell whether a sensor itself was heard, with a number."""
+    return any(use.role == INPUT and name in use.channels and use.heard is not None
+               and use.fields[use.channels[name]].found for use in uses)
 
 
 def _ready(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None,

@@ -131,7 +131,7 @@ def _entry(wired: Wired, choice: Choice) -> Iterator[str]:
     for listener in wired.around.topics[candidate.topic].listeners:
         if listener.mismatch:
             yield (f'        # {listener.node} would not hear it there ({listener.mismatch}): '
-                   'see qos_overrides')
+                   f'{listener.mend}')
 
 
 def _places(proposals: Sequence[Proposal]) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import math
 from types import MappingProxyType
 
+from vsensor_ros.engine.apart import Apart
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.events import (
@@ -58,7 +59,7 @@ class Stream:
         self._latest: dict[str, float] = {}  # by channel: what it said
         self._heard: dict[str, int] = {}  # and when, by the engine's clock
         self._lacks: dict[str, tuple[Reason, int]] = {}  # why it did not, and when
-        self._withheld = Withheld()
+        self._withheld, self._apart = Withheld(), Apart()
         self._max_age = {c.name: c.max_age for c in channels}
         self._longest = max(self._max_age.values())
         self._only = self.senders.sender(self.names) if len(self.names) == 1 else \
@@ -175,7 +176,7 @@ class Stream:
             sender.forget(self._clock.now)
         self._heard.clear()
         self._lacks.clear()
-        self._withheld = Withheld()
+        self._withheld, self._apart = Withheld(), Apart()
 
     # ------------------------------------------------------------------- what is known of them
 
@@ -222,8 +223,20 @@ class Stream:
             sender.template is None for sender in self.senders.all) else None
 
     def why_odd(self, name: str) -> Reason | None:
-        """Return what is to be said of a channel that is live: of late not all of it went on."""
-        return self._withheld.why(name, NOT_NEWER, self._clock.now)
+        """Return what is to be said of a channel that is live: not all goes on, or can be used."""
+        return self._withheld.why(name, NOT_NEWER, self._clock.now) or self._of_another_clock(name)
+
+    def _of_another_clock(self, name: str) -> Reason | None:
+        """Return that no virtual sensor can use what a channel says, for its stamps are off."""
+        now = self._clock.now
+        if not self.plan.stamped or not self.fresh(name):
+            self._apart.forget(name)
+            return None
+        ahead = self.ahead(name)
+        if not self._apart.steadily(name, ahead, self._max_age[name], now):
+            return None
+        return Reason.of('input of another clock', name=name, seconds=ahead * 1e-9,
+                         clock=now * 1e-9)
 
     def composes(self, name: str) -> bool:
         """Tell whether messages with a channel are composed, so that a live one does not go on."""

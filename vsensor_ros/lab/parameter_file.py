@@ -13,7 +13,7 @@ import yaml
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.node.known import GENERAL, OVERRIDES, Refused
-from vsensor_ros.node.parameter_file import check_files, fits, PARAMETERS
+from vsensor_ros.node.parameter_file import check_files, fits, misaddressed, PARAMETERS
 
 Group = tuple[str, dict[str, Any]]  # for which nodes, and the parameters by dotted name
 
@@ -67,7 +67,7 @@ def read_parameters(path: Path, ros_args: Sequence[str] = ()) -> Parameters:
     for it, else the one that the file names and gives sensors.
     """
     try:
-        check_files(['--params-file', str(path), *ros_args])
+        blocks = check_files(['--params-file', str(path), *ros_args])
     except Refused as refused:
         raise refused.problems[0] from None
     groups: dict[str, dict[str, Any]] = {}  # by node, in order of appearance
@@ -87,7 +87,9 @@ def read_parameters(path: Path, ros_args: Sequence[str] = ()) -> Parameters:
     fitting = [n for n in groups if fits(n, node)]
     given = {key: value for n in fitting for key, value in groups[n].items()}
     if not _has_sensors(given):
-        raise BadInput(path, node, 'is told of no sensors', 'give replacer: ros__parameters: '
+        if meant := [b for b in blocks if b.path and not fits(b.nodes, node) and b.has_sensors]:
+            raise misaddressed(meant, node)[0]
+        raise BadInput(path, node, 'is told of no sensors', f'give {node}: ros__parameters: '
                        'with topic, type and field of each sensor and command')
     inside = node.rpartition('/')[0]
     return Parameters(path, node, given, tuple(fitting),

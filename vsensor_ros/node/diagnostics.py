@@ -86,6 +86,9 @@ def describe(channel: ChannelState, scene: Scene, sharing: Collection[str]) -> R
     name, source = channel.name, channel.source
     if source == 'real':
         parts = ['real', *([str(channel.reason)] if channel.reason else [])]  # a force waits
+        if channel.reason is not None and channel.reason.code == 'input of another clock':
+            parts.append(f'no virtual sensor can use it: stamp {name} with the clock of this '
+                         'node, or set use_sim_time alike')
     elif source == 'silent':
         parts = [str(channel.reason), f'check the driver of {name}']
     elif source == 'virtual':

@@ -13,10 +13,10 @@ from itertools import islice
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import qos_check_compatible, QoSCompatibility
+from rclpy.qos import QoSProfile
 
 from vsensor_ros.node.parameters import Settings
-from vsensor_ros.node.qos import mends
+from vsensor_ros.node.qos import mends, misfit
 
 
 @dataclass(frozen=True)
@@ -128,19 +128,27 @@ def _mismatch(end: End, other: Any, pairs: Sequence[tuple[Any, Any]]) -> Iterato
         yield Complaint(end.topic, f'{_who(other)} uses the type {other.topic_type}, this node '
                         f'{end.type}; nothing passes between them, correct the type of one')
         return
-    # on the isolation topic this node has two ends: it is enough that one of them fits
-    checks = [qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
-              for publisher, subscription in pairs]
-    if checks and all(compatible == QoSCompatibility.ERROR for compatible, _ in checks):
-        reason = checks[0][1]
-        ours = 'publisher' if end.speaks else 'subscription'
-        mend = min(filter(None, (mends(publisher.qos_profile, subscription.qos_profile, end.topic,
-                                       ours) for publisher, subscription in pairs)),
-                   key=len, default=[])
+    wrong, mend = unfit([(publisher.qos_profile, subscription.qos_profile)
+                         for publisher, subscription in pairs], end.topic, end.speaks)
+    if wrong:
         yield Complaint(end.topic, f'the QoS of {_who(other)} does not match that of this '
-                        f'node ({reason.strip().rstrip(";")}); nothing passes between them, '
-                        'change it there' + (f', or here with {" and ".join(mend)}' if mend
-                                             else ''))
+                        f'node ({wrong}); nothing passes between them, {mend}')
+
+
+def unfit(pairs: Sequence[tuple[QoSProfile, QoSProfile]], topic: str,
+          speaks: bool) -> tuple[str, str]:
+    """
+    Say why nothing passes between another's end and ours, and the mend; ('', '') when it does.
+
+    pairs: (publisher, subscription), one for each of our ends: it is enough that one fits, as on
+    the isolation topic, where this node has two. speaks: ours publish.
+    """
+    wrong = [misfit(*pair) for pair in pairs]
+    if not wrong or not all(wrong):
+        return '', ''
+    ours = 'publisher' if speaks else 'subscription'
+    mend = min(filter(None, (mends(*pair, topic, ours) for pair in pairs)), key=len, default=[])
+    return wrong[0], 'change it there' + (f', or here with {" and ".join(mend)}' if mend else '')
 
 
 def publishers(node: Node, topics: Iterable[str]) -> dict[str, tuple[str, ...]]:

@@ -35,6 +35,11 @@ class Block:
         return bool(self.path) and self.nodes.endswith('*')
 
     @property
+    def has_sensors(self) -> bool:
+        """Whether it wires any."""
+        return any(n.startswith('sensors.') for n in self.names)
+
+    @property
     def tells_of_topics(self) -> bool:
         """Whether only a replacer can be meant."""
         return any(n == 'design_file' or n.startswith(('sensors.', 'commands.'))
@@ -78,10 +83,14 @@ def check_addressed(node: Node, blocks: Sequence[Block]) -> None:
     if not meant and not given.difference(ROS_OWN, [LAUNCHED]):
         meant = others
     if meant:
-        raise Refused([BadInput(
-            path, '', f'is for {", ".join(b.nodes for b in meant if b.path == path)}, but this '
-            f'node is {name}', f'write /**: or {name}: above it')
-            for path in dict.fromkeys(block.path for block in meant)])
+        raise Refused(misaddressed(meant, name))
+
+
+def misaddressed(blocks: Sequence[Block], node: str) -> list[BadInput]:
+    """Say of each file with these blocks that it is for other nodes than the one meant."""
+    return [BadInput(path, '', f'is for {", ".join(b.nodes for b in blocks if b.path == path)}, '
+                     f'but this node is {node}', f'write /**: or {node}: above it')
+            for path in dict.fromkeys(block.path for block in blocks)]
 
 
 def fits(pattern: str, node: str) -> bool:

@@ -59,6 +59,19 @@ def qos_parameters(ends: Iterable[tuple[str, str]]) -> dict[str, Known]:
             if end != 'subscription' or policy not in _OF_PUBLISHERS}
 
 
+def misfit(publisher: QoSProfile, subscription: QoSProfile) -> str:
+    """
+    Say what is offered and what wanted where it is too little; '' when messages pass.
+
+    Each may be a profile that was never opened, whose times are 0, or one of the graph, which says
+    forever: rmw takes these for different.
+    """
+    offered, requested = _levels(publisher), _levels(subscription)
+    return ', '.join(f'{policy} is {offered[policy][1] or "none"}, wanted '
+                     f'{requested[policy][1] or "none"}' for policy in offered
+                     if offered[policy][0] < requested[policy][0])
+
+
 def mends(publisher: QoSProfile, subscription: QoSProfile, topic: str, end: str) -> list[str]:
     """
     Return the parameters of our end that let two others meet: what is offered and what requested.
