@@ -132,7 +132,7 @@ def test_a_driver_that_was_not_remapped_a_qos_and_no_clock(robot, file):
         VOLTAGE: {'subscription': {'reliability': 'reliable'}}})
     good = says(f'y1, y2, y3 were never heard on {RAW}: /driver publishes on {OUT} itself; remap '
                 f'it there: --ros-args -r {OUT}:={RAW}',
-                'use_sim_time is true, but nobody publishes /clock',
+                'cannot be replaced now: use_sim_time is true, but nobody publishes /clock',
                 f'the QoS of /controller on {VOLTAGE} does not fit')
     done = robot.run_until(good, 'check', '--params-file', path)
     assert good(done), done.stdout + done.stderr

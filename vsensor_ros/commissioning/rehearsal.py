@@ -79,7 +79,10 @@ def _refused(name: str, design: Design) -> str | None:
 
 def _cause(name: str, why: Reason, uses: Sequence[Use],
            findings: Sequence[Finding]) -> Finding | None:
-    """Return what was found of the input that a virtual sensor lacks."""
+    """Return what was found of the input that a virtual sensor lacks, or of the clock of all."""
+    for finding in findings:
+        if finding.level == FAIL and finding.topics == ('/clock',):
+            return finding
     facts: Mapping[str, object] = dict(why.facts)
     missing = facts.get('name', name)
     topics = {use.topic for use in uses if missing in use.channels}
