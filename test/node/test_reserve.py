@@ -118,7 +118,8 @@ def test_nobody_isolates(machine, logged):
     assert m.spin_until(lambda: line in told(heard, 'replacer')[1])
     assert told(heard, 'replacer')[0] == WARN and m.spin_until(lambda: logged(line))
     m.isolate('')
-    assert m.spin_until(lambda: told(heard, 'replacer')[:2] == (OK, 'active'))
+    # a busy machine may leave out ticks, which is said, too
+    assert m.spin_until(lambda: line not in told(heard, 'replacer')[1])
 
 
 def test_a_command_that_a_reserve_needs_was_never_heard(machine, logged):
