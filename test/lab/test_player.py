@@ -176,5 +176,5 @@ def test_whatever_way_a_parameter_file_names_the_node(tmp_path, name):
     assert {n: (p.source, p.output, p.field.path) for n, p in ports.items()} == {
         n: (inside + p.source, inside + p.output, p.field.path) for n, p in expected.items()}
     path.write_text('{other: {ros__parameters: {}}}')
-    with pytest.raises(BadInput, match='give replacer: ros__parameters'):
+    with pytest.raises(BadInput, match='give /replacer: ros__parameters'):
         read_wiring(path)
