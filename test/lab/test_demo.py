@@ -101,8 +101,9 @@ def short_servo(tmp_path, monkeypatch):
 
 
 def curves(array, topic):
-    """Return what PlotJuggler calls the series of a DiagnosticArray."""
-    return {'/'.join(filter(None, (topic, s.hardware_id, s.name, value.key)))
+    """Return what PlotJuggler calls the series of a DiagnosticArray, in no namespace."""
+    return {'/'.join(filter(None, (topic, s.hardware_id.removeprefix('/robot'), s.name,
+                                   value.key)))
             for s in array.status for value in s.values}
 
 
@@ -110,8 +111,9 @@ def curves(array, topic):
 def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
     # on simulated time and in a namespace, which the parameter file alone says
     path = short_servo.parent / 'config' / 'servo' / 'replacer.yaml'
+    own = yaml.safe_load(path.read_text())['/**']
     path.write_text(yaml.safe_dump({'/**': {'ros__parameters': {'use_sim_time': True}},
-                                    'robot': yaml.safe_load(path.read_text())}))
+                                    'robot': {'replacer': own}}))
     statuses = []
 
     def read_status(array):
