@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from vsensor_ros.lab.injection.case_context import CaseContext
@@ -26,16 +27,22 @@ class Case:
     session: str = PLAIN    # ALONE: in a plain one, with a process of ours
 
 
-def fail_over(context: CaseContext, begin: Callable[[], None]) -> None:
-    """Let a fault begin, isolate it, watch, and let the sensor come back."""
+def fail_over(context: CaseContext, begin: Callable[[], None], in_order: bool = True) -> None:
+    """
+    Let a fault begin, isolate it, watch, and let the sensor come back.
+
+    in_order: the driver's stamps increase. What is only sent on has them as they are.
+    """
     target = context.target
-    context.play(0.2)
-    begin()
-    context.play(UNDETECTED)
-    context.isolate(target)
+    with nullcontext() if in_order else context.excused(stamps=True):
+        context.play(0.2)
+        begin()
+        context.play(UNDETECTED)
+        context.isolate(target)
     context.expect(target, 'virtual')
     context.play(WATCHED)
-    context.heal()
-    context.believe(target)
-    context.play(0.2)
+    with nullcontext() if in_order else context.excused(stamps=True):
+        context.heal()
+        context.believe(target)
+        context.play(0.2)
     context.expect_path(target, 'real', 'virtual', 'real')
