@@ -128,3 +128,21 @@ def machines(parameters):
     for machine in started:
         machine.close()
     start.DISCOVERY = discovery
+
+
+def logged(capfd):
+    """Return what tells how often a text was logged; /rosout loses lines on a busy machine."""
+    said = []
+
+    def count(text):
+        said.append(capfd.readouterr().err)
+        return ''.join(said).count(text)
+    return count
+
+
+def told(heard, name):
+    """Return level, message and facts of a status, as told last."""
+    for s in heard[-1].status if heard else ():
+        if s.name == name:
+            return s.level, s.message, {v.key: v.value for v in s.values}
+    return b'', '', {}

@@ -12,7 +12,7 @@ from std_msgs.msg import Float64
 from vsensor_ros.node import inlet, status
 
 sys.path.append(str(Path(__file__).parent))
-from managed_rig import KEPT, machines
+from managed_rig import KEPT, logged, machines, told
 
 
 @pytest.fixture
@@ -51,23 +51,9 @@ def stop(m, node):
         node.destroy_timer(timer)
 
 
-@pytest.fixture
-def logged(capfd):
-    """Return what tells how often a text was logged; /rosout loses lines on a busy machine."""
-    said = []
-
-    def count(text):
-        said.append(capfd.readouterr().err)
-        return ''.join(said).count(text)
-    return count
-
-
-def told(heard, name):
-    """Return level, message and facts of a channel, as told last."""
-    for s in heard[-1].status if heard else ():
-        if s.name == name:
-            return s.level, s.message, {v.key: v.value for v in s.values}
-    return b'', '', {}
+@pytest.fixture(name='logged')
+def logged_(capfd):
+    return logged(capfd)
 
 
 def test_two_publishers_of_one_sensor_are_named(machine, another, logged, monkeypatch):

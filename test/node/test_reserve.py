@@ -13,7 +13,7 @@ from vsensor_ros.node.reserve import Chance, chance, Origin, without_reserve
 from vsensor_ros.reason import Reason
 
 sys.path.append(str(Path(__file__).parent))
-from managed_rig import KEPT, machines
+from managed_rig import KEPT, logged, machines, told
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 CONVERGING, REFUSED = Reason.of('converging', seconds=2.3), Reason.of('refused', text='no way')
@@ -63,23 +63,9 @@ def machine(parameters, monkeypatch):
     yield from machines(parameters)
 
 
-@pytest.fixture
-def logged(capfd):
-    """Return what tells how often a text was logged; /rosout loses lines on a busy machine."""
-    said = []
-
-    def count(text):
-        said.append(capfd.readouterr().err)
-        return ''.join(said).count(text)
-    return count
-
-
-def told(heard, name):
-    """Return level, message and facts of a status, as told last."""
-    for s in heard[-1].status if heard else ():
-        if s.name == name:
-            return s.level, s.message, {v.key: v.value for v in s.values}
-    return b'', '', {}
+@pytest.fixture(name='logged')
+def logged_(capfd):
+    return logged(capfd)
 
 
 def drive(m):
