@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -221,25 +222,30 @@ def encode(statuses: Iterable[tuple[str, Report, Mapping[str, object]]], stamp: 
     """
     out = bytearray(b'\x00\x01\x00\x00')  # little endian
 
-    def number_of(count: int) -> None:
-        out.extend(bytes(-len(out) % 4) + count.to_bytes(4, 'little'))
-
-    def text(value: str) -> None:
-        raw = value.encode('utf-8', 'replace') + b'\0'
-        number_of(len(raw))
-        out.extend(raw)
+    def put(*parts: bytes) -> None:
+        for part in parts:
+            out.extend(_PADS[-len(out) % 4])
+            out.extend(part)
 
     told = list(statuses)
-    for part in divmod(stamp, 10**9):
-        number_of(part)
-    text('')  # frame_id
-    number_of(len(told))
+    put(*(_count(part) for part in divmod(stamp, 10**9)), _text(''),  # frame_id
+        _count(len(told)))
     for name, report, facts in told:
         out.extend(report.level)
-        for value in (name, report.message, report.topic):
-            text(value)
-        number_of(len(facts))
+        put(_text(name), _text(report.message), _text(report.topic), _count(len(facts)))
         for key, fact in facts.items():
-            text(key)
-            text(str(fact))
+            put(_text(key), _text(str(fact)))
     return bytes(out)
+
+
+def _count(number: int) -> bytes:
+    return number.to_bytes(4, 'little')
+
+
+@lru_cache(maxsize=4096)  # most of what is told is told every time
+def _text(value: str) -> bytes:
+    raw = value.encode('utf-8', 'replace') + b'\0'
+    return _count(len(raw)) + raw
+
+
+_PADS = tuple(bytes(n) for n in range(4))
