@@ -8,6 +8,7 @@ RUN := .venv/bin/python
 
 # The wheels of ROS must not see an installed ROS, nor another environment's settings.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport PYTHONDONTWRITEBYTECODE  # or all is compiled anew in each process
 export AMENT_PREFIX_PATH := $(CURDIR)/.venv
 export ROS_LOG_DIR := $(CURDIR)/build/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST

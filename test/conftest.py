@@ -9,6 +9,7 @@ deadline and no complaint of slow drawing: the machine may be busy.
 import json
 import os
 from pathlib import Path
+import sys
 from types import SimpleNamespace
 
 from hypothesis import HealthCheck, settings
@@ -21,20 +22,20 @@ from vsensor_ros.observers import Design, Refusal, VirtualSensor
 
 PATIENT = {'deadline': None, 'suppress_health_check': [HealthCheck.too_slow]}
 
-settings.register_profile('fixed', derandomize=True, **PATIENT)
+settings.register_profile('fixed', derandomize=True, max_examples=40, **PATIENT)
 settings.register_profile('explore', **PATIENT)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
-ON_A_GRAPH = ('node', 'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py')
-
 
 def pytest_collection_modifyitems(items):
-    """Keep what plays on a ROS graph in one process: side by side it would only wait longer."""
+    """Keep in one process each file of tests that play on a ROS graph, and the lab's together."""
     for item in items:
-        if set(ON_A_GRAPH) & set(item.path.relative_to(Path(__file__).parent).parts):
+        where = item.path.relative_to(Path(__file__).parent)
+        if where.parts[0] == 'node':
+            item.add_marker(pytest.mark.xdist_group(where.stem))  # on a domain of the process
+        elif {'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py'} & {*where.parts}:
             item.add_marker(pytest.mark.xdist_group('ros'))
-
 
 
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
@@ -184,3 +185,24 @@ def bench():
 def reference():
     path = Path(__file__).parent / 'reference.json'
     return json.loads(path.read_text(encoding='utf-8'))
+
+
+@pytest.fixture(scope='session')
+def designed():
+    """Return what designs as `design` does, each plant once for all who ask the same of it."""
+    from vsensor_ros.designer import design  # which takes long to import
+    made = {}
+
+    def once(plant, fault_sets=None, progress=None, **choices):
+        with np.printoptions(floatmode='unique', threshold=sys.maxsize):
+            asked = repr((plant, fault_sets, sorted(choices.items())))
+        if asked not in made:
+            made[asked] = design(plant, fault_sets, progress=progress, **choices)
+        return made[asked]
+    return once
+
+
+@pytest.fixture
+def designed_once(monkeypatch, designed):
+    """Have the command `designer` design nothing that was designed in this process before."""
+    monkeypatch.setattr('vsensor_ros.command.designer.design', designed)

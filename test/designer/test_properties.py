@@ -68,7 +68,7 @@ def polynomial_test(A, C0, V, D, k):
     return bool(feasible), free == k
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(plants())
 def test_every_virtual_sensor_satisfies_its_equations(plant):
     for entry in design(plant).virtual_sensors:
@@ -88,7 +88,7 @@ def test_every_virtual_sensor_satisfies_its_equations(plant):
             assert np.all(np.abs(eigenvalues) < 1)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(plants())
 def test_smaller_orders_are_infeasible_and_refusals_are_true(plant):
     result = design(plant, prefer='least')
@@ -107,7 +107,7 @@ def test_smaller_orders_are_infeasible_and_refusals_are_true(plant):
                 assert not any(feasible for feasible, _ in tests.values())
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(plants(), st.integers(0, 2**31))
 def test_the_error_forgets_its_start_whatever_the_disturbance(plant, seed):
     """Simulate plant and virtual sensor as discrete maps; truth is the plant's own output."""
