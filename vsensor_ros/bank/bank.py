@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from itertools import islice
 import math
 from types import MappingProxyType
 
@@ -116,7 +117,8 @@ class Bank(Steps):
         Return the standard deviation of the estimate [unit of the channel]; infinite if unknown.
 
         It has three parts: what noise and an imperfect model do in steady state, as designed and
-        as measured while the channel was healthy; what its kind says of it now, such as what is
+        as measured while the channel was healthy, and more off the operating point, where other
+        healthy sensors show that; what its kind says of it now, such as what is
         left of the unknown start; and what readings may have moved since the last that came.
         """
         output = self._running(fault_set, channel)
@@ -230,10 +232,20 @@ class Bank(Steps):
         return self._measured.unseen(state.tick, self._told.ages_at(self._at(state.tick)))
 
     def _deviation(self, output: int, state: State, unseen: np.ndarray) -> float:
-        found = math.hypot(self._measured.base[output], unseen[output],
+        found = math.hypot(self._measured.base[output] * self._widening(output), unseen[output],
                            self._batch.deviation(output, state.z, state.told,
                                                  self._age(output, state)))
         return math.inf if math.isnan(found) else found
+
+    def _widening(self, output: int) -> float:
+        """Return by what factor it is worse now than usual, by what healthy sensors show."""
+        elsewhere = self._measured.elsewhere
+        if elsewhere.told_of(output):
+            oldest = self._past[0].tick
+            for first, end in elsewhere.due(oldest, self._past[-1].tick):
+                self._measured.look(*self._stacked(
+                    islice(self._past, first - oldest, end - oldest)))
+        return elsewhere.widening(output)
 
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""

@@ -184,6 +184,7 @@ class Steps:
             self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
             self._measured.forget(gone[:len(self.sensors)], stopped)
             self._estimates = self._unseen = None
+        self._measured.all_trusted = not names
 
     def silent(self, name: str, now: int) -> bool:
         """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
@@ -325,9 +326,14 @@ class Steps:
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""
         states, self._settled = self._settled, []
+        self._measured.add(*self._stacked(states), self._past[-1].tick)
+        self._told.forget(self._at(self._past[0].tick))
+
+    def _stacked(self, states: Iterable[State]) -> tuple[
+            np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
+        """Return ticks, z, running, since, told of states, and the tick of each last reading."""
         ticks, z, running, since, _, _, told = zip(*states)
         heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
                           for stamp in self._told.last_stamps()], dtype=int)
-        self._measured.add(np.array(ticks), np.array(z), np.array(running), np.array(since),
-                           Told(*map(np.array, zip(*told))), heard, self._past[-1].tick)
-        self._told.forget(self._at(self._past[0].tick))
+        return (np.array(ticks), np.array(z), np.array(running), np.array(since),
+                Told(*map(np.array, zip(*told))), heard)
