@@ -88,6 +88,12 @@ class Bank(Steps):
         return output is not None and self._waiting(output) == 0.0 \
             and self._invalid(output) is None
 
+    def converging(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether it runs and could be used, but for what is left of its start yet."""
+        output = self._running(fault_set, channel)
+        return output is not None and 0.0 < self._waiting(output) < math.inf \
+            and self._invalid(output) is None
+
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
         """Return the time [s] until it is ready: 0 when it is, infinite when it does not run."""
         output = self._running(fault_set, channel)

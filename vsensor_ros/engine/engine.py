@@ -27,7 +27,7 @@ from vsensor_ros.engine.settings import Live, Setup
 from vsensor_ros.engine.stand_in import StandIn
 from vsensor_ros.engine.state import ChannelState, EngineState, stopped
 from vsensor_ros.engine.stream import Stream, UNREADABLE
-from vsensor_ros.engine.switch import Source, Switch
+from vsensor_ros.engine.switch import Decision, Source, Switch
 from vsensor_ros.engine.ticks import Ticks
 from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
@@ -51,8 +51,8 @@ class Engine:
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
         self._commands = Commands(setup.design.inputs, self._bank, self._clock, self._intake)
-        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
-                                 self._stream_of)
+        self._stand_in = StandIn(setup.design, self._bank, self._clock, setup.live,
+                                 self._intake.held, self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
             s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
@@ -207,7 +207,7 @@ class Engine:
             for channel in self._channels.values():
                 channel.blend = channel.blend.with_time_constant(
                     live.time_constant, self._clock.lasting())
-        self._stand_in.live = live
+        self._stand_in.apply(live)
         self._watch()
         return self._command(lambda _: self._switch.with_policies(live.policies))
 
@@ -274,8 +274,7 @@ class Engine:
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
                 self._bank.distrust(self._believed, self._ticks.time)
-            self._switch = self._switch.decide(
-                self._clock.lasting(), self._stand_in.ready, self._stand_in.why_not)
+            self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break
         changed = {s for s, d in self._switch.decisions.items()
@@ -343,10 +342,12 @@ class Engine:
 
         That is the fault set of a virtual sensor, and its standard deviation [unit of the sensor].
         """
-        for names, key in self._switch.designed[name]:
-            if self._switch.faulty <= names and self._stand_in.ready(key, name):
-                return key, self._bank.deviation(key, name)
-        return None
+        would = self._reserve(name)
+        return None if would.source is not Source.VIRTUAL else \
+            (would.fault_set, self._bank.deviation(would.fault_set, name))
+
+    def _reserve(self, name: str) -> Decision:
+        return self._switch.reserve(name, self._clock.lasting(), self._stand_in)
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
@@ -407,7 +408,7 @@ class Engine:
         if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
             reason = silence if reason is None else \
                 Reason.of('both', first=reason, second=silence)
-        recovering = self._switch.recovering.get(name)
+        recovering, would = self._switch.recovering.get(name), self._reserve(name)
         key = fault_set if serves is not None else (name,)  # of its reserve, while it is real
         return ChannelState(
             name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
@@ -417,8 +418,7 @@ class Engine:
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or self._switch.reserve(
-                name, lasting, self._stand_in.ready, self._stand_in.why_not))
+            stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason))
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
