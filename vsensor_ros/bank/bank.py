@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.record import Rehearsal
 from vsensor_ros.bank.steps import State, Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
@@ -131,6 +132,15 @@ class Bank(Steps):
         if self._unseen is None:
             self._unseen = self._unseen_at(state)
         return self._deviation(output, state, self._unseen)
+
+    def measured(self, fault_set: Iterable[str], channel: str) -> Rehearsal | None:
+        """
+        Return what rehearsal showed beside the healthy sensor in about the last minute of it.
+
+        What a fault did before its isolation is not in it. None: they were not compared yet.
+        """
+        output = self._output.get((frozenset(fault_set), channel))
+        return None if output is None else self._measured.record.rehearsal(output)
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """

@@ -49,22 +49,34 @@ class Measured:
         self.record.forget(stopped[self._batch.of] | (lost[own] & (own >= 0)), lost)
 
     def add(self, ticks: np.ndarray, z: np.ndarray, running: np.ndarray, since: np.ndarray,
-            told: Told, heard: np.ndarray) -> None:
+            told: Told, heard: np.ndarray, newest: int) -> None:
         """
         Take T states that nothing can change any more, stacked along a first axis.
 
         heard (L,): tick of the last reading of each sensor. A value that is only held says
-        nothing.
+        nothing. newest: the tick by now.
         """
         batch, of, own = self._batch, self._batch.of, self._batch.own
         there = told.there[:, :len(heard)] & (ticks[:, None] <= heard)
         with np.errstate(all='ignore'):
             estimates = batch.estimates(z, told.y, told.held)
             readings = told.y if self._Cu is None else told.y + told.held @ self._Cu.T
-            counts = running[:, of] & there[:, own] & (own >= 0) \
-                & (ticks[:, None] - since[:, of] >= 2.0 * self._warm)  # no start is left in it
-            self.record.add(int(ticks[-1]), readings[:, own] - estimates, counts, told.y, there)
+            counts = running[:, of] & there[:, own] & (own >= 0)
+            start = self._of_the_start(ticks[[0, -1]], z[-1], since[-1], told)
+            self.record.add(int(ticks[-1]), readings[:, own] - estimates, counts, told.y, there,
+                            start, newest)
         self.base = self.record.in_steady_state()
+
+    def _of_the_start(self, ticks: np.ndarray, z: np.ndarray, since: np.ndarray,
+                      told: Told) -> np.ndarray:
+        """Return what was stated (O,) of the start in a block between two ticks; NaN: nothing."""
+        ages = np.maximum(ticks[:, None] - since[self._batch.of], 0)  # (2, O) steps
+        found = np.full(len(self._warm), np.nan)
+        last = Told(*(part[-1] for part in told))
+        for o in np.flatnonzero(ages[0] < 2.0 * self._warm):
+            found[o] = np.hypot(*(self._batch.deviation(int(o), z, last, age * self._seconds)
+                                  for age in ages[:, o].tolist())) / np.sqrt(2.0)
+        return found
 
     def is_usual(self, name: str, interval: int) -> bool:
         """Tell whether a sensor's reading came about as soon [ns] after the last as always."""

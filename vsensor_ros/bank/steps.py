@@ -329,5 +329,5 @@ class Steps:
         heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
                           for stamp in self._told.last_stamps()], dtype=int)
         self._measured.add(np.array(ticks), np.array(z), np.array(running), np.array(since),
-                           Told(*map(np.array, zip(*told))), heard)
+                           Told(*map(np.array, zip(*told))), heard, self._past[-1].tick)
         self._told.forget(self._at(self._past[0].tick))
