@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
 
@@ -28,12 +28,12 @@ class Limits:
     given: Mapping[str, float | None]  # by sensor, in its unit; 0: no limit; None: those above
 
     def exceeded(self, entry: Entry, channel: str, deviation: float,
-                 measured: float) -> Reason | None:
+                 measured: Callable[[], float]) -> Reason | None:
         """
         Return why the estimate of a channel is not good enough, or None when it is.
 
-        deviation: of the estimate now, inf when not known. measured: its rms error while the
-        sensor was healthy, NaN when not known.
+        deviation: of the estimate now, inf when not known. measured: returns its rms error while
+        the sensor was healthy, NaN when not known.
         """
         given, temporary = self.given[channel], entry.grade == 'temporary'
         if given:
@@ -53,7 +53,7 @@ class Limits:
         return self._unlike(entry, channel, deviation, measured)
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
-                measured: float) -> Reason | None:
+                measured: Callable[[], float]) -> Reason | None:
         """
         Return that it is far worse than designed.
 
@@ -65,8 +65,8 @@ class Limits:
             return None
         low, high = self.design.ranges.get(channel, (0.0, 0.0))
         limit = max(TIMES * entry.noise.error, SHARE * (high - low))
-        if measured > limit and deviation > limit:
-            return Reason.of('worse than designed', measured=measured, limit=limit,
+        if deviation > limit and (found := measured()) > limit:
+            return Reason.of('worse than designed', measured=found, limit=limit,
                              figure=entry.noise.error)
         return None
 

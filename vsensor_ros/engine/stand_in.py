@@ -67,7 +67,11 @@ class StandIn:
         entry = self._bank.entry(fault_set, name)
         if entry is None or isinstance(entry, Refusal):
             return None
-        return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), math.nan)
+
+        def measured() -> float:
+            found = self._bank.measured(fault_set, name)
+            return math.nan if found is None else found.error
+        return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), measured)
 
     def _told_apart(self, reason: Reason) -> Reason:
         """Tell an input that is silent from one whose stamps are of another clock."""
