@@ -109,6 +109,12 @@ class Bank(Steps):
         return output is not None and self.waiting(fault_set, channel) == 0.0 and \
             self._why_invalid(output) is None
 
+    def converging(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether it runs and could be used, but for what is left of its start yet."""
+        output = self._running(fault_set, channel)
+        return output is not None and 0.0 < self._waiting(output) < math.inf \
+            and self._why_invalid(output) is None
+
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
         """Return the time [s] until it is ready: 0 when it is, infinite when it does not run."""
         output = self._output.get((frozenset(fault_set), channel))
@@ -189,6 +195,13 @@ class Bank(Steps):
         """
         output = self._output.get((frozenset(fault_set), channel))
         return None if output is None else self._measured.record.rehearsal(output)
+
+    def beside(self, channel: str) -> float | None:
+        """Return the channel's believed reading at `time`; None when there is none."""
+        if channel in self._told.distrusted or not self._past:
+            return None
+        time = self._at(self._past[-1].tick)
+        return self._told.samples[channel].interpolated(time, self._told.ages[channel])
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """
