@@ -2,5 +2,6 @@
 
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.record import Rehearsal
 
-__all__ = ['Bank', 'End']
+__all__ = ['Bank', 'End', 'Rehearsal']

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from itertools import islice
 import math
 from types import MappingProxyType
 
 import numpy as np
 
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.record import Rehearsal
 from vsensor_ros.bank.state import State
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
@@ -107,6 +109,12 @@ class Bank(Steps):
         return output is not None and self.waiting(fault_set, channel) == 0.0 and \
             self._why_invalid(output) is None
 
+    def converging(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether it runs and could be used, but for what is left of its start yet."""
+        output = self._running(fault_set, channel)
+        return output is not None and 0.0 < self._waiting(output) < math.inf \
+            and self._why_invalid(output) is None
+
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
         """Return the time [s] until it is ready: 0 when it is, infinite when it does not run."""
         output = self._output.get((frozenset(fault_set), channel))
@@ -158,8 +166,9 @@ class Bank(Steps):
         Return the standard deviation of the estimate [unit of the channel]; infinite if unknown.
 
         It has three parts: what noise and an imperfect model do in steady state, as designed and
-        as measured while the channel was healthy; what its kind says of it now, such as what is
-        left of the unknown start; and what readings may have moved since the last that came.
+        as measured while the channel was healthy, and more off the operating point, where other
+        healthy sensors show that; what its kind says of it now, such as what is left of the
+        unknown start; and what readings may have moved since the last that came.
         Of a free run it is what came since its start, as computed or as rehearsed. While the
         channels are believed it is what it would be if they were lost now.
         """
@@ -171,12 +180,28 @@ class Bank(Steps):
         i = self._tracked.get(output)
         if i is None or self._runs.lost(i):
             return served
-        followed = math.inf if self._until_tracked(output) else \
+        followed = math.inf if self._until_tracked(output) else self._widening(output) * \
             float(self._measured.growth.stated(i, self._guard[i]))
         temporary = self._batch.tracked[i].temporary
         if temporary or (followed < math.inf and self._waiting(output)):
             return followed
         return min(served, followed)
+
+    def measured(self, fault_set: Iterable[str], channel: str) -> Rehearsal | None:
+        """
+        Return what rehearsal showed beside the healthy sensor in about the last minute of it.
+
+        What a fault did before its isolation is not in it. None: they were not compared yet.
+        """
+        output = self._output.get((frozenset(fault_set), channel))
+        return None if output is None else self._measured.record.rehearsal(output)
+
+    def beside(self, channel: str) -> float | None:
+        """Return the channel's believed reading at `time`; None when there is none."""
+        if channel in self._told.distrusted or not self._past:
+            return None
+        time = self._at(self._past[-1].tick)
+        return self._told.samples[channel].interpolated(time, self._told.ages[channel])
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """
@@ -305,13 +330,24 @@ class Bank(Steps):
     def _deviation_of(self, output: int, row: int, state: State, unseen: np.ndarray) -> float:
         """Return the deviation of what an output says of one of its runs."""
         age = float(state.tick - state.since[row]) * self.period * 1e-9
-        i = self._tracked.get(output)
+        i, wider = self._tracked.get(output), self._widening(output)
         if i is not None and row == self._batch.tracked[i].free:
-            found = math.hypot(unseen[output], float(self._measured.growth.stated(i, age)))
+            found = math.hypot(unseen[output], wider * float(self._measured.growth.stated(i, age)))
         else:
-            found = math.hypot(self._measured.base[output], unseen[output], self._batch.deviation(
-                output, state.z[:self._batch.size], state.told, age))
+            found = math.hypot(
+                wider * self._measured.base[output], unseen[output], self._batch.deviation(
+                    output, state.z[:self._batch.size], state.told, age))
         return math.inf if math.isnan(found) else found
+
+    def _widening(self, output: int) -> float:
+        """Return by what factor it is worse now than usual, by what healthy sensors show."""
+        elsewhere = self._measured.elsewhere
+        if elsewhere.told_of(output):
+            oldest = self._past[0].tick
+            for first, end in elsewhere.due(oldest, self._past[-1].tick):
+                self._measured.look(*self._stacked(
+                    islice(self._past, first - oldest, end - oldest)))
+        return elsewhere.widening(output)
 
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""

@@ -189,6 +189,7 @@ class Steps:
                     for s in (*self._settled, *self._past)]
             self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
             self._stand_anew(moved, first)
+        self._measured.all_trusted = not names
 
     def _lose(self, lost: Collection[str], gone: np.ndarray, now: int | None,
               onsets: Mapping[str, int]) -> tuple[list[int], int | None]:
@@ -399,12 +400,17 @@ class Steps:
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""
         states, self._settled = self._settled, []
+        self._measured.add(*self._stacked(states), self._past[-1].tick)
+        self._told.forget(self._at(self._past[0].tick))
+
+    def _stacked(self, states: Iterable[State]) -> tuple[
+            np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
+        """Return ticks, z, running, since, told of states, and the tick of each last reading."""
         ticks, z, running, since, _, _, told = zip(*states)
         heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
                           for stamp in self._told.last_stamps()], dtype=int)
-        self._measured.add(np.array(ticks), np.array(z), np.array(running), np.array(since),
-                           Told(*map(np.array, zip(*told))), heard)
-        self._told.forget(self._at(self._past[0].tick))
+        return (np.array(ticks), np.array(z), np.array(running), np.array(since),
+                Told(*map(np.array, zip(*told))), heard)
 
 
 def _guards(sensors: tuple[str, ...], given: Mapping[str, float]) -> dict[str, int]:

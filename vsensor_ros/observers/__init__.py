@@ -16,10 +16,15 @@ from vsensor_ros.observers.kinds import (
     Tracked,
 )
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking import (
+    deviation_after,
+    horizon,
+    Tracking,
+)
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
 
 __all__ = ['Batch', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'Tracked', 'VirtualSensor',
-           'kind_named', 'kind_names', 'register']
+           'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'Tracked', 'Tracking',
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register']
