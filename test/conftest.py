@@ -210,8 +210,8 @@ def run(bank, key, rate, readings, commands):
 def bench():
     return SimpleNamespace(
         virtual_sensor=virtual_sensor, design=design, encoder=encoder, joint=joint, servo=servo,
-        tank=tank, tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
-        Refusal=Refusal, SECOND=SECOND)
+        tank=tank, tank_truth=tank_truth, friction_truth=friction_truth,
+        servo_truth=servo_truth, run=run, Refusal=Refusal, SECOND=SECOND)
 
 
 @pytest.fixture(scope='session')
