@@ -1,4 +1,4 @@
-"""How uncertain an estimate may be. Beyond that it is not valid, and the reason says which limit."""
+"""How uncertain an estimate may be: beyond that it is not valid, and the reason says why."""
 
 from __future__ import annotations
 
