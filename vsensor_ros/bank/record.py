@@ -25,6 +25,8 @@ _TIME_CONSTANTS = 30.0
 _ENOUGH = 10.0  # s, or 30 time constants: so much in motion, and what was measured counts alone
 _BLOCKS = 128  # remembered of each virtual sensor
 _WORST = 20  # one block in so many is left out
+_BLOCK = 0.5  # s, at least 8 rows
+_FIRST = 10  # blocks that are shorter, and believed as soon as the delay allows
 _FEW = 5  # of fewer none is left out
 _MOVED = 3.0  # times the design's figure: a channel that moved less says nothing of the model
 _TOLD_APART = 0.2  # of the rms of a residual is the estimate's, at least
@@ -75,17 +77,17 @@ class Record:
 
     def __init__(self, slowest: np.ndarray, own: np.ndarray, readings: int, period: float,
                  error: np.ndarray, assumed: np.ndarray) -> None:
-        self.block = max(8, round(0.5 / period))  # rows of a block
+        self._block = max(8, round(_BLOCK / period))  # rows
         self._own, self._period, self._error, self._assumed = own, period, error, assumed
-        self._lag = min(max(2, round(_LAG / period)), self.block // 2)
+        self._lag = min(max(2, round(_LAG / period)), self._block // 2)
         constants = _TIME_CONSTANTS * np.minimum(slowest, 1e9)
         self._enough = np.maximum(_ENOUGH, constants)
         # blocks of slow virtual sensors are put together, so that the memory is long enough
         self._long = np.maximum(_MEMORY, constants) / _BLOCKS
         # the first of each is being filled
         self._blocks = np.zeros((len(_Block._fields), len(slowest), _BLOCKS))
-        self._alike = np.maximum(np.minimum(slowest, 1e9), self.block * period)  # s, see `_bound`
-        self._believed = 0  # blocks so far, to _FEW
+        self._alike = np.maximum(np.minimum(slowest, 1e9), self._block * period)  # s, see `_bound`
+        self._believed = 0  # blocks so far, to _FIRST
         self._slopes: deque[np.ndarray] = deque(maxlen=_SLOPES)
         self._peaks: deque[np.ndarray] = deque(maxlen=_LONG)
         self._since_peak = 0
@@ -95,6 +97,11 @@ class Record:
         self._heard: deque[tuple[int, np.ndarray]] = deque()
         self.slope: np.ndarray = np.full(readings, np.nan)  # (L,), 1/s, NaN where nothing is known
         self._look()
+
+    @property
+    def block(self) -> int:
+        """How many rows the next block should have; the first are short, to be known soon."""
+        return self._block if self._believed >= _FIRST else max(8, self._block // 2)
 
     def add(self, index: int, residuals: np.ndarray, counts: np.ndarray, readings: np.ndarray,
             there: np.ndarray, start: np.ndarray, newest: int) -> None:
@@ -126,7 +133,7 @@ class Record:
         self._waiting.append((index, block))
         self._heard.append((index, np.where(there.all(axis=0), slope, np.nan)))
         # of the first few one learns as soon as the delay allows
-        while self._waiting and (newest if self._believed < _FEW else index) - \
+        while self._waiting and (newest if self._believed < _FIRST else index) - \
                 self._waiting[0][0] >= DELAY / self._period:
             self._believe(self._waiting.popleft()[1])
         while self._heard and index - self._heard[0][0] >= _SOON / self._period:
@@ -152,7 +159,7 @@ class Record:
         return (near - np.maximum(slope, 0.0)) / 2, slope / self._period**2
 
     def _believe(self, new: np.ndarray) -> None:
-        self._believed = min(self._believed + 1, _FEW)
+        self._believed = min(self._believed + 1, _FIRST)
         full = self._blocks[0, :, 0] >= self._long
         self._blocks[:, full, 1:] = self._blocks[:, full, :-1]
         self._blocks[:, full, 0] = 0.0

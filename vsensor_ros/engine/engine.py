@@ -21,7 +21,15 @@ from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.commands import Commands
-from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
+from vsensor_ros.engine.events import (
+    Composition,
+    Forward,
+    IsolationReport,
+    Message,
+    Remark,
+    Reserve,
+    Token,
+)
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
 from vsensor_ros.engine.stand_in import StandIn
@@ -45,7 +53,7 @@ class Engine:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
         self._design = setup.design
         self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead,
-                          setup.command_ends)
+                          setup.command_ends, setup.guard)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
@@ -273,7 +281,7 @@ class Engine:
         for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
-                self._bank.distrust(self._believed, self._ticks.time)
+                self._bank.distrust(self._believed, self._ticks.time, self._onsets())
             self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break
@@ -285,6 +293,11 @@ class Engine:
         spoken = [stream for stream in self._streams if not changed.isdisjoint(stream.names)]
         at = self._ticks.time
         return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
+
+    def _onsets(self) -> dict[str, int]:
+        """Return since when, on the clock, isolation says that sensors are faulty."""
+        now, lasting = self._clock.now, self._clock.lasting()
+        return {s: now - (lasting - since) for s, since in self._isolated.items()}
 
     def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
         """Return what stands in for failed channels; a mistake in one stream ends no other."""
@@ -349,6 +362,32 @@ class Engine:
     def _reserve(self, name: str) -> Decision:
         return self._switch.reserve(name, self._clock.lasting(), self._stand_in)
 
+    def _who_would(self, name: str, would: Decision) -> tuple[str, ...] | None:
+        """Return whose virtual sensor would serve, or comes nearest to that; None: nobody's."""
+        if would.source is Source.VIRTUAL:
+            return would.fault_set
+        return next(iter(self._switch.choice.candidates(self._switch.faulty | {name}, name)), None)
+
+    @property
+    def state_time(self) -> int | None:
+        """Time of the virtual sensors' last step; None before the first."""
+        return self._bank.time
+
+    def reserves(self) -> list[Reserve]:
+        """Return what could be said in place of each healthy sensor, at `state_time`."""
+        found, time = [], self._bank.time
+        for name in (name for stream in self._streams if stream.active for name in stream.names):
+            if name in self._switch.faulty:
+                continue
+            would = self._reserve(name)
+            key = self._who_would(name, would)
+            said = None if key is None or time is None else self._bank.recall(key, name, time)
+            if said is not None:
+                reading = self._bank.beside(name)
+                found.append(Reserve(name, math.nan if reading is None else reading, *said[:2],
+                                     would.source is Source.VIRTUAL))
+        return found
+
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
         return any(stream.heard(name) for stream in self._streams for name in stream.names)
@@ -409,7 +448,8 @@ class Engine:
             reason = silence if reason is None else \
                 Reason.of('both', first=reason, second=silence)
         recovering, would = self._switch.recovering.get(name), self._reserve(name)
-        key = fault_set if serves is not None else (name,)  # of its reserve, while it is real
+        reserve = fault_set if serves is not None else self._who_would(name, would)
+        key = reserve or (name,)
         return ChannelState(
             name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
             '' if serves is None else serves.grade, value, deviation, interval,
@@ -418,7 +458,9 @@ class Engine:
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason))
+            stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason),
+            self._bank.deviation(key, name), self._bank.measured(key, name),
+            self._stand_in.remaining(key, name) if source in (REAL, VIRTUAL) else math.inf)
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
