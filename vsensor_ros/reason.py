@@ -39,6 +39,7 @@ SENTENCES: dict[str, Sentence] = {
     'isolated': 'isolated',
     'duplicate stamp': 'duplicate stamp',
     'stamp runs backwards': 'stamp runs backwards',
+    'no angle': 'so many turns that its angle is lost',
     # of commands
     'command not used': '{name}: {why}, so the last one is not used; mend who commands it',
     'command of another clock': lambda name, seconds: f'{name}: its stamps are {_lead(seconds)} '

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.record import Record
 from vsensor_ros.observers import Batch, Told
 
@@ -20,9 +21,14 @@ class Measured:
     """
 
     def __init__(self, batch: Batch, ages: Mapping[str, int], period: int,
-                 Cu: np.ndarray | None) -> None:
-        """Prepare for sensors with these max_ages [ns], and a grid of this period [ns]."""
+                 Cu: np.ndarray | None, short_way: ShortWay) -> None:
+        """
+        Prepare for sensors with these max_ages [ns], and a grid of this period [ns].
+
+        short_way: of residuals (T, O) that wrap.
+        """
         self._batch, self._ages, self._period, self._Cu = batch, ages, period, Cu
+        self._short_way = short_way
         self._seconds = period * 1e-9
         self._recent = np.array(list(ages.values())) * 0.5e-9
         self._warm = np.minimum(batch.warm_up / self._seconds, 1e18)  # steps
@@ -63,7 +69,8 @@ class Measured:
             readings = told.y if self._Cu is None else told.y + told.held @ self._Cu.T
             counts = running[:, of] & there[:, own] & (own >= 0) \
                 & (ticks[:, None] - since[:, of] >= 2.0 * self._warm)  # no start is left in it
-            self.record.add(int(ticks[-1]), readings[:, own] - estimates, counts, told.y, there)
+            self.record.add(int(ticks[-1]), self._short_way(readings[:, own] - estimates), counts,
+                            told.y, there)
         self.base = self.record.in_steady_state()
 
     def is_usual(self, name: str, interval: int) -> bool:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
@@ -88,8 +89,12 @@ class Steps:
         self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
         check_ends(command_ends, design.inputs)
         self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
-                            command_ends, 3 * self.period)
-        self._measured = Measured(self._batch, ages, self.period, Cu)
+                            command_ends, 3 * self.period, design.wrap)
+        self.angles = self._told.angles  # by sensor that wraps
+        self._short_way = ShortWay([
+            self.angles[name].turn if name in self.angles else None
+            for _, name in self._batch.keys])
+        self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock

@@ -25,6 +25,9 @@ class Contents:
     entries: Mapping[Key, Entry | Refusal]
     wanted: tuple[str, ...] = ()  # functionals that are no sensors: their fault set may be ()
     Cu: np.ndarray | None = None  # (l, m) what sensors read directly of inputs; None: not known
+    # sensors that wrap: of each angle who reads it, and what a turn is in that reading, negative
+    # if it runs the other way
+    wrap: tuple[Mapping[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.Cu is not None:
