@@ -91,6 +91,7 @@ SENTENCES: dict[str, Sentence] = {
     'not in the message': '{field} is not in the message',
     'too short': 'the array is too short for {field}',
     'disowned': '{field} is marked as not there ({mark})',
+    'no rotation': 'the quaternion of {field} is no rotation: all zeros, or not normalised',
     'does not fit': '{value} does not fit into {field} ({type})',
     'only NaN': 'nothing but NaN arrives',
     'only NaN on': 'nothing but NaN arrives on {topic}',

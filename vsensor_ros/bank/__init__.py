@@ -1,6 +1,7 @@
 """The run: every virtual sensor in step on one grid of times."""
 
+from vsensor_ros.bank.angle import Angle
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
 
-__all__ = ['Bank', 'End']
+__all__ = ['Angle', 'Bank', 'End']

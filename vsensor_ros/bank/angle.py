@@ -51,13 +51,10 @@ class Angle:
 
     def put(self, value: float, near: float = math.nan) -> float:
         """Return an angle as the driver would say it; near: next to this, if it does not wrap."""
-        if not math.isfinite(value):
-            return value
         if self._low is None:
             return self.next_to(value, near)
-        turns = math.floor((value - self._low) / self.turn)
-        # the upper end of the range is left as it is
-        return value if value == self._low + self.turn or not turns else value - turns * self.turn
+        middle = self._low + self.turn / 2.0
+        return value - self.whole(value - middle)  # either end of the range is left as it is
 
     def next_to(self, value: float, near: float) -> float:
         """Return the same angle, by whole turns as near as can be to another; NaN: as it is."""
@@ -69,7 +66,8 @@ class Angle:
 
     def whole(self, difference: float) -> float:
         """Return the whole turns in a difference of two angles, 0 if it is not finite."""
-        return round(difference / self.turn) * self.turn if math.isfinite(difference) else 0.0
+        turns = difference / self.turn
+        return round(turns) * self.turn if math.isfinite(turns) else 0.0
 
 
 class Angles(Samples):

@@ -75,7 +75,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
                   dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals),
-                  Cu=plant.Cu if plant.Cu.any() else None)
+                  Cu=plant.Cu if plant.Cu.any() else None, wrap=plant.angles())
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, bounded: bool,

@@ -55,7 +55,8 @@ class Engine:
                                  self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
-            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
+            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend,
+                       angle=self._bank.angles.get(s))
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
@@ -397,7 +398,8 @@ class Engine:
             entry = self._bank.entry(fault_set, name)
             serves = None if isinstance(entry, Refusal) else entry
             deviation = self._bank.deviation(fault_set, name)
-            interval = self._bank.interval(fault_set, name)
+            interval = channel.beside(self._bank.interval(fault_set, name),
+                                      self._bank.estimate(fault_set, name), lasting)
         elif source == NONE:
             value = math.nan
         else:

@@ -3,10 +3,10 @@ Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states
 (unit, initial, process_noise, range), inputs (unit, operating), disturbances (unit), sensors
-(measures, unit, noise), operating_point, and the right-hand side: dynamics, one equation a state,
-or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
-states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
-that names the file, the place and the mend.
+(measures, unit, noise, wrap), operating_point, and the right-hand side: dynamics, one equation a
+state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which
+combinations of states). Every number may be an expression of the parameters. What is wrong gives
+one BadInput line that names the file, the place and the mend.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class _File:
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range'))
         inputs = self.section('inputs', ('unit', 'operating'))
         disturbances = self.section('disturbances', ('unit',))
-        sensors = self.section('sensors', ('measures', 'unit', 'noise'), 'measures')
+        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'wrap'), 'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
                 raise self.fail(key, 'is missing or empty', f'name the {key}')
@@ -241,7 +241,8 @@ class _File:
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
             process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
                            for s, e in states.items()],
-            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], name=name,
+            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()],
+            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()], name=name,
             where=self.path)
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
@@ -256,6 +257,16 @@ class _File:
         if value < 0.0:
             raise self.fail(f'{place}.{what}', f'{value:g} is negative',
                             'give a standard deviation')
+        return value
+
+    def turn(self, entry: Mapping[str, Any], key: str) -> float:
+        """Read what a turn is in the readings of a sensor, NaN if it does not wrap."""
+        if 'wrap' not in entry:
+            return math.nan
+        value = self.number(entry['wrap'], key)
+        if value <= 0.0:
+            raise self.fail(key, f'{value:g} is not above 0',
+                            'give what a turn is in its unit, such as 2*pi or 360')
         return value
 
     def range(self, entry: Mapping[str, Any], key: str) -> tuple[float, float]:
