@@ -95,6 +95,9 @@ class Engine:
         jump = self._clock.look(now)
         if self._clock.now != before:
             self._moved = steady
+        if not before or jump > 0:  # what came before the clock began came at 0
+            for stream in self._streams:
+                stream.leap(jump or self._clock.now)
         if not jump:
             return
         self._intake.say('warning', Reason.of(
@@ -107,6 +110,8 @@ class Engine:
 
     def resume(self, now: int | None, steady: float) -> None:
         """Take the time after a rest in which nobody told it; the virtual sensors start anew."""
+        if not self._clock.now:
+            self.look(now, steady)
         self._clock.resume(now)
         self._moved = steady
         if self._bank.time is not None:

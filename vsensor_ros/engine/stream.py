@@ -170,6 +170,13 @@ class Stream:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
                                      output=self.plan.output, seconds=by * 1e-9))
 
+    def leap(self, ahead: int) -> None:
+        """Take no time [ns] for silence that the clock left out: it jumped ahead, or began."""
+        for sender in self.senders.all:
+            sender.leap(ahead)
+        self._heard = {name: heard + ahead for name, heard in self._heard.items()}
+        self._lacks = {name: (why, at + ahead) for name, (why, at) in self._lacks.items()}
+
     def forget(self) -> None:
         """Begin anew after the clock went back."""
         for sender in self.senders.all:
