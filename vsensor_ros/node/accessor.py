@@ -257,8 +257,8 @@ def _angle_leaf(
         return get_component(message) if q is None else angle.read((q.x, q.y, q.z, q.w))
 
     def put(message: Any, value: float) -> Reason | None:
-        if math.isinf(value) or find(message) is None:  # refused, or room is made
-            problem = put_component(message, value)
+        if find(message) is None:  # room is made
+            problem = put_component(message, math.nan)
             if problem is not None:
                 return problem
         q = find(message)

@@ -49,13 +49,13 @@ class EulerAngle:
         return math.nan if math.isnan(off) else self._none
 
     def changed(self, q: Quaternion, value: float) -> Quaternion:
-        """Return the unit quaternion with this angle, the others kept; NaN: it is not known."""
+        """Return the unit quaternion with this angle, the others kept; NaN: not known."""
         unknown = [i for i in range(3) if math.isnan(q[i]) and i != self._index]
         if len(unknown) == 2 and math.isnan(q[3]):
             unknown = []  # all of it was blanked, not two angles
         off = sum(number * number for number in q) - 1.0
         whole = q if -NORMALISED <= off <= NORMALISED else self._last
-        if math.isnan(value):
+        if not math.isfinite(value):
             unknown.append(self._index)
         else:
             whole = self._turn(whole, value - self._of(*whole))
