@@ -42,8 +42,8 @@ class Machine:
         streams = (StreamPlan(('y1', 'y2'), '/in', '/out', True),) if shared else (
             StreamPlan(('y1',), '/y1_raw', '/y1', True),
             StreamPlan(('y2',), '/y2_raw', '/y2', True))
-        self.setup = Setup(replace(bench.design(*twice), wrap=wrap), 100.0, {'y1': 0.5, 'y2': 0.5}, 10.0, streams,
-                           simulated, Live(**settings))
+        self.setup = Setup(replace(bench.design(*twice), wrap=wrap), 100.0,
+                           {'y1': 0.5, 'y2': 0.5}, 10.0, streams, simulated, Live(**settings))
         self.engine = Engine(self.setup)
         self.shared, self.now, self.sent = shared, 1000 * SECOND, []
         self.engine.look(self.now, 0.0)

@@ -161,7 +161,7 @@ def test_who_spoke_before_simulated_time_began_has_not_been_silent_since(rig, pa
     """A replacer that joins a running simulation: readings are there sooner than the time."""
     r = rig({**parameters, 'silent_sensor': 'replace', 'recovery.dwell': 2.0}, clock=False)
     heard = r.listen(RANGE, '/y2')
-    for i in range(3):  # at 1000 s of simulated time, which nobody has told us yet
+    for _ in range(3):  # at 1000 s of simulated time, which nobody has told us yet
         r.now += PERIOD
         for name in ('y1', 'y2', 'y3'):
             r.send(r.now, 0.5, f'/{name}_raw')

@@ -2,14 +2,14 @@
 
 import math
 
-from geometry_msgs.msg import PoseArray, PoseStamped, Quaternion
+from geometry_msgs.msg import PoseStamped, Quaternion, Transform
 from hypothesis import given, strategies as st
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import Imu, Range
+from sensor_msgs.msg import Imu, MultiDOFJointState, Range
 from std_msgs.msg import String
 
 from vsensor_ros.bad_input import BadInput
@@ -118,14 +118,17 @@ def test_nan_marks_the_angle_that_is_not_known():
     assert yaw.put(message, math.inf) is None and math.isnan(message.orientation.z)
 
 
-def test_room_is_made_for_a_pose_that_is_not_there():
-    accessor = compile_accessor(PoseArray, 'yaw(poses[1].orientation)')
-    message = PoseArray()
-    assert str(accessor.get(message)) == 'yaw(poses[1].orientation) is not in the message'
-    reader, raw = Reader(PoseArray, [accessor]), serialize_message(message)
-    written = decode(PoseArray, reader.write(raw, reader.read(raw), {0: 1.0}))
-    assert accessor.get(written) == pytest.approx(1.0) and math.isnan(written.poses[0].position.x)
-    assert math.isnan(compile_accessor(PoseArray, 'roll(poses[0].orientation)').get(written))
+def test_room_is_made_for_a_joint_that_is_not_there():
+    kind = MultiDOFJointState
+    yaw, roll = (compile_accessor(kind, f'{name}(transforms[base].rotation)')
+                 for name in ('yaw', 'roll'))
+    message = kind(joint_names=['arm'], transforms=[Transform()])
+    assert str(yaw.get(message)) == 'yaw(transforms[base].rotation) is not in the message'
+    assert yaw.absent(message)
+    reader, raw = Reader(kind, [yaw]), serialize_message(message)
+    written = decode(kind, reader.write(raw, reader.read(raw), {0: 1.0}))
+    assert written.joint_names == ['arm', 'base'] and yaw.get(written) == pytest.approx(1.0)
+    assert roll.get(written) == 0.0 and math.isnan(written.transforms[1].translation.x)
 
 
 @pytest.mark.parametrize('kind, path, matrix, size, first', [
