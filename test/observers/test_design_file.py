@@ -69,7 +69,8 @@ def example():
         sensor('w', (), rows=3, order=0))
     return Design('servo', '0' * 64, ('x1', 'x2', 'x3'), ('u1',), SENSORS, {'y1': 'rad'}, None,
                   {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'),
-                  np.array([[0.0], [1.0 / 3.0], [-2.0]]))
+                  np.array([[0.0], [1.0 / 3.0], [-2.0]]),
+                  wrap=({'y1': 2.0 * np.pi, 'y3': -360.0}, {'y2': 1.0 / 3.0}))
 
 
 @pytest.fixture(name='written')
@@ -96,7 +97,7 @@ def refusal_line(path):
 def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     saved, loaded = example(), Design.load(written)
     for name in ('plant_name', 'plant_hash', 'states', 'inputs', 'sensors', 'units',
-                 'sample_time', 'fault_sets', 'wanted'):
+                 'sample_time', 'fault_sets', 'wanted', 'wrap'):
         assert getattr(loaded, name) == getattr(saved, name)
     bits(loaded.Cu, saved.Cu)
     assert not loaded.Cu.flags.writeable and not saved.Cu.flags.writeable
@@ -301,6 +302,13 @@ BROKEN = {
         lambda r: r['entries'][2].update(start=[[1.0, 1e999], [1e999, 1.0]]), 'finite'),
     'shape of Cu': (lambda r: r['plant'].update(Cu=[[1.0]]), 'plant.Cu: is not 3 x 1'),
     'Cu of null': (lambda r: r['plant'].update(Cu=None), 'plant.Cu: must be a list'),
+    'wrap of nobody': (lambda r: r['plant'].update(wrap=[{'y9': 1.0}]), 'plant.wrap[0].y9: is not'),
+    'wrap of nothing': (lambda r: r['plant'].update(wrap=[{'y1': 0.0}]),
+                        'plant.wrap[0].y1: is no turn'),
+    'wrap of two': (lambda r: r['plant'].update(wrap=[{'y1': 1.0}, {'y1': 1.0}]),
+                    'plant.wrap[1].y1: stands there twice'),
+    'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
+                         'plant.wrap[0].y1: is not finite'),
     'lipschitz left out': (lambda r: certificate(r).pop('lipschitz'), 'lipschitz: is missing'),
 }
 
@@ -340,7 +348,7 @@ def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written)
     def older(record):
         as_version_3(record)
         record.update(version=2)
-        del record['plant']['Cu'], record['entries'][2]['start']
+        del record['plant']['wrap'], record['plant']['Cu'], record['entries'][2]['start']
     rewrite(written, older)
     read = Design.load(written)
     assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)
