@@ -3,5 +3,6 @@
 from vsensor_ros.bank.angle import Angle
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.record import Rehearsal
 
-__all__ = ['Angle', 'Bank', 'End']
+__all__ = ['Angle', 'Bank', 'End', 'Rehearsal']

@@ -7,7 +7,7 @@ differentiated. Only what goes out is put into the range that the driver uses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import math
 
 import numpy as np
@@ -121,8 +121,13 @@ class ShortWay:
 
     def __init__(self, turns: Sequence[float | None]) -> None:
         """Prepare for O columns, each with its turn; None: it does not wrap."""
+        self._all = turns
         self._columns = [i for i, turn in enumerate(turns) if turn is not None]
         self._turns = np.array([turn for turn in turns if turn is not None])
+
+    def of(self, outputs: Iterable[int]) -> ShortWay:
+        """Return what does so to the differences of some outputs alone."""
+        return ShortWay([self._all[output] for output in outputs])
 
     def __call__(self, differences: np.ndarray) -> np.ndarray:
         """Return the differences; the array itself may be changed."""

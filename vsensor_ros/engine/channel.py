@@ -36,6 +36,7 @@ class Channel:
     virtual: int = 0  # in all in virtual mode, up to the last switch
     switches: int = 0
     value: float = math.nan  # that went out last
+    deviation: float = 0.0  # of that, without its offset; inf when not known
     sent: int | None = None  # when
     readings: int = 0  # that came in
     why: Reason | None = None  # there is no valid value of it, though there should be one
@@ -57,13 +58,15 @@ class Channel:
         return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
-              above: float | None = None) -> float:
+              above: float | None = None, deviation: float = 0.0) -> float:
         """
         Return what is to go out for the value of a source, which may be another one than before.
 
         above: by how much the old source lies above the new one, NaN if that is not known; None:
-        by what went out last. There is no offset to what was no value, or is too long ago. What
-        wraps is put into its driver's range, but for a reading with nothing added.
+        by what went out last. There is no offset to what was no value, or is too long ago. From
+        one virtual sensor to a surer one it is at most the deviation of that: the error of the
+        old one is not to burden it. What wraps is put into its driver's range, but for a reading
+        with nothing added.
         """
         if (source, fault_set) != (self.source, self.fault_set):
             before = offset = math.nan
@@ -71,6 +74,8 @@ class Channel:
                 before = self.value
                 offset = self.shortest(
                     before - value if above is None else above + self.blend.left(now))
+                if self.source == source == VIRTUAL and deviation < self.deviation:
+                    offset = max(-deviation, min(offset, deviation))
             self._turn(source, fault_set, now)
             self.blend = self.blend.begin(now, offset, before)
         output = self.blend.add(value, now)
@@ -80,12 +85,16 @@ class Channel:
             if source != REAL or output != value:
                 output = self.angle.put(output, value if source == REAL else self.value)
             self.blend = self.blend.sent(self.angle.next_to(output, self.blend.before))
-        self.value, self.sent = output, now
+        self.value, self.sent, self.deviation = output, now, deviation
         return output
 
     def shortest(self, difference: float) -> float:
         """Return a difference of two of its values, the short way round if it wraps."""
         return difference if self.angle is None else self.angle.shortest(difference)
+
+    def as_said(self, value: float, near: float = math.nan) -> float:
+        """Return a value as its driver would say it; near: next to this, if it need be."""
+        return value if self.angle is None else self.angle.put(value, near)
 
     def beside(self, interval: tuple[float, float] | None, estimate: float | None,
                now: int) -> tuple[float, float] | None:

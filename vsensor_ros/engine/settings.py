@@ -17,7 +17,8 @@ class Live:
     without_estimate: str  # 'stop', 'hold', 'nan' or 'pass'
     time_constant: float  # s of the decay of an offset at a switch; 0: a plain switch
     policies: Mapping[str, Policy]  # by sensor
-    max_deviation: Mapping[str, float]  # by sensor, in its unit; 0: no limit
+    # by sensor, in its unit; 0: no limit; None: the limits that follow from the design
+    max_deviation: Mapping[str, float | None]
 
 
 @dataclass(frozen=True)

@@ -424,7 +424,8 @@ class Stream:
             if wanted.fault_set is None:
                 return Substitute(value, None, wanted.deviation, wanted.interval, wanted.grade,
                                   0.0)
-            value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above)
+            value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
+                                  wanted.deviation)
             return Substitute(value, wanted.fault_set, wanted.deviation,
                               channel.beside(wanted.interval, wanted.value, lasting),
                               wanted.grade, channel.blend.left(lasting))

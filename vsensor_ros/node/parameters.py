@@ -29,7 +29,7 @@ from vsensor_ros.node.endpoints import (
     Sensor,
     with_turns,
 )
-from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
+from vsensor_ros.node.known import AUTO, DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import (
     Block,
     check_addressed,
@@ -280,7 +280,8 @@ def _live(design: Design, values: Mapping[str, Any]) -> Live:
         values['without_estimate'], values['time_constant'],
         {s: Policy(_own(values, s, 'recovery'), _own(values, s, 'dwell'),
                    _own(values, s, 'silent') == 'replace') for s in design.sensors},
-        {s: _own(values, s, 'max_deviation') for s in design.sensors})
+        {s: None if (limit := _own(values, s, 'max_deviation')) in ('', AUTO) else limit
+         for s in design.sensors})
 
 
 def _declared_with_topic(node: Node, name: str) -> bool:
