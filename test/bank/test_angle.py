@@ -9,6 +9,8 @@ import pytest
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.bank.angle import Angle, Angles, samples_of, ShortWay
+from vsensor_ros.designer import design
+from vsensor_ros.plant import Plant
 
 MS = 10**6
 TURNS = st.sampled_from([math.tau, 360.0, 1.0, 4.0 * math.pi])
@@ -166,3 +168,27 @@ def test_readings_of_an_isolated_sensor_are_put_next_to_one_another(bench):
             assert bank.residual(('a',), 'a') == pytest.approx(
                 0.3 if k in isolated else 0.0, abs=1e-6)
             assert bank.estimate(('a',), 'a') == pytest.approx(heading, abs=1e-6)
+
+
+def test_a_heading_that_was_tracked_is_known_for_a_time():
+    """Its free run goes on from a reading; rehearsed through many jumps, it is known how well."""
+    plant = Plant.from_matrices(
+        [[0.0, 1.0], [0.0, -5.0]], [0.0, 5.0], [[180.0 / math.pi, 0.0], [0.0, 1.0]],
+        process_noise=[0.0, 1.0], noise=[0.5, 0.01], wrap=[360.0, math.nan],
+        sensors=['compass', 'gyro'])
+    bank, key = Bank(design(plant, [('compass',)]), 100.0), (('compass',), 'compass')
+    rng, heading, rate, off = np.random.default_rng(0), 3.0, 0.0, []
+    for k in range(1900):
+        at = k * bank.period
+        bank.take('u1', at, 2.0)
+        bank.take('gyro', at, rate + 0.01 * rng.normal())
+        bank.take('compass', at, (math.degrees(heading) + 0.5 * rng.normal()) % 360.0)
+        if k == 1500:
+            assert bank.deviation(*key) < 1.0  # degrees
+            bank.distrust(['compass'], at)
+        bank.advance(at)
+        if k >= 1500:
+            off.append(math.remainder(bank.estimate(*key) - math.degrees(heading), 360.0)
+                       / bank.deviation(*key))
+        heading, rate = heading + 0.01 * rate, rate + 0.05 * (2.0 - rate)
+    assert np.abs(off).max() < 3.0 and bank.deviation(*key) < 5.0
