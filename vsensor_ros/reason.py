@@ -66,14 +66,12 @@ SENTENCES: dict[str, Sentence] = {
     'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
     'are kept',
     'track lost': 'readings that it needs were missing since its channel was lost',
-    'served its time': 'served its time: its standard deviation passed {limit:.3g} after '
-    '{seconds:.1f} s; it serves again when the sensor is believed again',
+    'served its time': 'served its time, until its channel is believed again: {why}',
     'beyond the tolerance': 'its standard deviation {deviation:.3g} is above the tolerance '
     '{limit:.3g}',
     'beyond a tenth of the range': 'its standard deviation {deviation:.3g} is above a tenth of '
     'the range, {limit:.3g}',
-    'outgrown': 'its standard deviation {deviation:.3g} is above ten times that at its start, '
-    '{limit:.3g}',
+    'no limit': 'it would serve for a time only, and no limit says for how long',
     'worse than designed': 'it erred by {measured:.3g} beside the healthy sensor, more than '
     '{limit:.3g}: it was designed for {figure:.3g}',
     # of faulty sensors: why they are not believed

@@ -60,6 +60,7 @@ class FreeRuns:
         self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
         self._fresh: set[int] = set()  # of which no run was chosen yet
         self.flying = False  # any
+        self.steady = False  # all rehearse
         self.rows = self._alone
 
     def seed(self, i: int) -> Seed | None:
@@ -112,7 +113,7 @@ class FreeRuns:
             if self.lost(i):
                 self._land(i)
         gone = np.flatnonzero(self._followed & ~good).tolist()
-        self._followed = good
+        self._followed, self.steady = good, bool(good.all()) and not self.flying
         lack = self._batch.runs_on[self.free] & ~state.told.there
         return [i for i in gone if not self.lost(i) and not lack[i].any()]
 
@@ -159,7 +160,7 @@ class FreeRuns:
         """
         followed = bool(self._followed[i])
         self._land(i)
-        self._followed[i] = False
+        self._followed[i] = self.steady = False
         first, last = past[0].tick, past[-1].tick
         tick = min(tick, last)
         if tick < first and followed:
@@ -173,13 +174,13 @@ class FreeRuns:
         row = self._trackers[i]
         self._seeds[i] = Seed(tick, state.z[row].copy(), self._spread(i, tick, past))
         self._fresh.add(i)
-        self.flying = True
+        self.flying, self.steady = True, False
         return tick
 
     def drop(self, i: int) -> None:
         """Let one end that has read what is lost."""
         self._land(i)
-        self._followed[i] = False
+        self._followed[i] = self.steady = False
 
     def _spread(self, i: int, tick: int, past: Sequence[State]) -> float:
         """Return the rms of the innovations of a tracker up to a tick; NaN when there is none."""

@@ -229,7 +229,7 @@ class Steps:
         return (found - self._at(0)) // self.period
 
     def _follow(self) -> None:
-        """Let the free runs go on whose trackers have stopped because their channels are silent."""
+        """Let the free runs go on whose trackers have stopped: their channels are silent."""
         now = self._at(self._past[-1].tick)
         moved = self._runs.stopped(self._past[-1])
         begun = [self._runs.lose(i, self._clean(i, now), self._past) for i in moved]
@@ -247,7 +247,7 @@ class Steps:
         last = self._past[-1].tick
         while self._past[-1].tick > tick:
             self._past.pop()
-        self._past[-1] = self._runs.place(self._past[-1])
+        self._past[-1] = self._placed(self._past[-1])
         with np.errstate(all='ignore'):
             while self._past[-1].tick < last:
                 self._past.append(self._next(self._past[-1]))
@@ -308,7 +308,8 @@ class Steps:
             while self._past[-1].tick < last:
                 self._past.append(self._next(self._past[-1]))
         self._estimates = self._unseen = None
-        if self._runs.tracked:
+        if self._runs.tracked and not (
+                self._runs.steady and self._past[-1].running is self._everyone):
             self._follow()
         while self._past[0].tick < last - self._kept:
             self._settled.append(self._past.popleft())
@@ -391,7 +392,14 @@ class Steps:
         # what broke starts anew with the next step
         if running is not self._everyone and not (broken is not None and broken.any()):
             state = self._start(state)
-        return self._runs.place(state) if self._runs.tracked else state
+        return self._placed(state) if self._runs.tracked else state
+
+    def _placed(self, state: State) -> State:
+        """Let those free runs stand anew that begin there."""
+        placed = self._runs.place(state)
+        if placed is state or not placed.running.all():
+            return placed
+        return placed._replace(running=self._everyone)
 
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""

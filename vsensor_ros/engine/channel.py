@@ -32,6 +32,7 @@ class Channel:
     blend: Bumpless  # what is left of the offset of the last switch
     source: str = REAL  # of what went out last: real, virtual or none
     fault_set: tuple[str, ...] = ()  # of the virtual sensor, if that is the source
+    run: str = ''  # of it
     since: int | None = None  # the last switch
     virtual: int = 0  # in all in virtual mode, up to the last switch
     switches: int = 0
@@ -58,9 +59,12 @@ class Channel:
         return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
-              above: float | None = None, deviation: float = 0.0) -> float:
+              above: float | None = None, deviation: float = 0.0, run: str = '') -> float:
         """
         Return what is to go out for the value of a source, which may be another one than before.
+
+        run: which of the runs of a virtual sensor says it. There is no step when that changes, but
+        it is no switch.
 
         above: by how much the old source lies above the new one, NaN if that is not known; None:
         by what went out last. There is no offset to what was no value, or is too long ago. From
@@ -68,16 +72,18 @@ class Channel:
         old one is not to burden it. What wraps is put into its driver's range, but for a reading
         with nothing added.
         """
-        if (source, fault_set) != (self.source, self.fault_set):
+        turned = (source, fault_set) != (self.source, self.fault_set)
+        if turned or run != self.run:
             before = offset = math.nan
             if self.source != NONE and self.sent is not None and now - self.sent <= self.max_age:
                 before = self.value
                 offset = self.shortest(
                     before - value if above is None else above + self.blend.left(now))
-                if self.source == source == VIRTUAL and deviation < self.deviation:
+                if turned and self.source == source == VIRTUAL and deviation < self.deviation:
                     offset = max(-deviation, min(offset, deviation))
-            self._turn(source, fault_set, now)
-            self.blend = self.blend.begin(now, offset, before)
+            if turned:
+                self._turn(source, fault_set, now)
+            self.blend, self.run = self.blend.begin(now, offset, before), run
         output = self.blend.add(value, now)
         if self.angle is None:
             self.blend = self.blend.sent(output)

@@ -421,14 +421,13 @@ class Stream:
         lasting = self._clock.lasting(time)
         if wanted is not None:
             value = math.nan if wanted.value is None else wanted.value
-            if wanted.fault_set is None:
-                return Substitute(value, None, wanted.deviation, wanted.interval, wanted.grade,
-                                  0.0)
-            value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
-                                  wanted.deviation)
-            return Substitute(value, wanted.fault_set, wanted.deviation,
-                              channel.beside(wanted.interval, wanted.value, lasting),
-                              wanted.grade, channel.blend.left(lasting))
+            if wanted.fault_set is not None:
+                value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
+                                      wanted.deviation, wanted.run)
+            offset = channel.blend.left(lasting) if wanted.fault_set is not None else 0.0
+            interval = channel.beside(wanted.interval, wanted.value, lasting)
+            return Substitute(value, wanted.fault_set, wanted.deviation, interval, wanted.grade,
+                              offset)
         if not self.fresh(channel.name):
             return None
         value = self._latest[channel.name] if said is None else said
