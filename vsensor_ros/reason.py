@@ -39,6 +39,7 @@ SENTENCES: dict[str, Sentence] = {
     'isolated': 'isolated',
     'duplicate stamp': 'duplicate stamp',
     'stamp runs backwards': 'stamp runs backwards',
+    'no angle': 'so many turns that its angle is lost',
     # of commands
     'command not used': '{name}: {why}, so the last one is not used; mend who commands it',
     'command of another clock': lambda name, seconds: f'{name}: its stamps are {_lead(seconds)} '
@@ -105,6 +106,7 @@ SENTENCES: dict[str, Sentence] = {
     'not in the message': '{field} is not in the message',
     'too short': 'the array is too short for {field}',
     'disowned': '{field} is marked as not there ({mark})',
+    'no rotation': 'the quaternion of {field} is no rotation: all zeros, or not normalised',
     'does not fit': '{value} does not fit into {field} ({type})',
     'only NaN': 'nothing but NaN arrives',
     'only NaN on': 'nothing but NaN arrives on {topic}',

@@ -77,7 +77,8 @@ def example():
                 noise_gain=np.inf))
     return Design('servo', '0' * 64, ('x1', 'x2', 'x3'), ('u1',), SENSORS, {'y1': 'rad'}, None,
                   {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'),
-                  np.array([[0.0], [1.0 / 3.0], [-2.0]]), {'y3': 0.1}, {'y1': (-np.pi, 0.3)})
+                  np.array([[0.0], [1.0 / 3.0], [-2.0]]), {'y3': 0.1}, {'y1': (-np.pi, 0.3)},
+                  wrap=({'y1': 2.0 * np.pi, 'y3': -360.0}, {'y2': 1.0 / 3.0}))
 
 
 @pytest.fixture(name='written')
@@ -104,7 +105,7 @@ def refusal_line(path):
 def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     saved, loaded = example(), Design.load(written)
     for name in ('plant_name', 'plant_hash', 'states', 'inputs', 'sensors', 'units',
-                 'sample_time', 'fault_sets', 'wanted', 'tolerances', 'ranges'):
+                 'sample_time', 'fault_sets', 'wanted', 'tolerances', 'ranges', 'wrap'):
         assert getattr(loaded, name) == getattr(saved, name)
     bits(loaded.Cu, saved.Cu)
     assert not loaded.Cu.flags.writeable and not saved.Cu.flags.writeable
@@ -354,6 +355,13 @@ BROKEN = {
     'range upside down': (
         lambda r: r['plant'].update(ranges={'y1': [1.0, 1.0]}), 'ranges.y1: is not [low, high]'),
     'range as a number': (lambda r: r['plant'].update(ranges={'y1': 1.0}), 'ranges.y1'),
+    'wrap of nobody': (lambda r: r['plant'].update(wrap=[{'y9': 1.0}]), 'plant.wrap[0].y9: is not'),
+    'wrap of nothing': (lambda r: r['plant'].update(wrap=[{'y1': 0.0}]),
+                        'plant.wrap[0].y1: is no turn'),
+    'wrap of two': (lambda r: r['plant'].update(wrap=[{'y1': 1.0}, {'y1': 1.0}]),
+                    'plant.wrap[1].y1: stands there twice'),
+    'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
+                         'plant.wrap[0].y1: is not finite'),
     'lipschitz left out': (lambda r: certificate(r).pop('lipschitz'), 'lipschitz: is missing'),
 }
 
@@ -397,7 +405,7 @@ def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written)
     def older(record):
         as_version_3(record)
         record.update(version=2)
-        del record['plant']['Cu'], record['entries'][2]['start']
+        del record['plant']['wrap'], record['plant']['Cu'], record['entries'][2]['start']
     rewrite(written, older)
     read = Design.load(written)
     assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)

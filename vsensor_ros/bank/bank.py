@@ -394,7 +394,10 @@ class Bank(Steps):
         if not state.running[self._row(output)]:
             return None
         value = float(reading[1] - self._estimates_at(state)[output])
-        return value if math.isfinite(value) else None
+        if not math.isfinite(value):
+            return None
+        angle = self.angles.get(self._batch.keys[output][1])
+        return value if angle is None else angle.shortest(value)
 
     # ------------------------------------------------------------------------ which run serves
 

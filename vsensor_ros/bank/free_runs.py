@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch
 from vsensor_ros.reason import Reason
@@ -40,10 +41,10 @@ class FreeRuns:
     free run though it was lost; None: nothing is to be said.
     """
 
-    def __init__(self, batch: Batch, period: float) -> None:
-        """Prepare for a grid of this period [s]."""
+    def __init__(self, batch: Batch, period: float, short_way: ShortWay) -> None:
+        """Prepare for a grid of this period [s]; short_way: of residuals (.., O) that wrap."""
         self.tracked = batch.tracked
-        self._batch, self._period = batch, period
+        self._batch, self._period, self._short_way = batch, period, short_way
         self._trackers = np.array([t.tracker for t in self.tracked], dtype=int)
         self.free = np.array([t.free for t in self.tracked], dtype=int)
         warm = np.array([t.warm_up for t in self.tracked], dtype=float)
@@ -194,9 +195,10 @@ class FreeRuns:
         rows = self._alone.copy()
         rows[own] = row
         said = np.array([s.told.y for s in states])
-        off = said[:, sensor] - self._batch.estimates(
+        off = said[:, [sensor]] - self._batch.estimates(
             np.array([s.z[rows] for s in states]), said,
-            np.array([s.told.held for s in states]))[:, output]
+            np.array([s.told.held for s in states]))[:, [output]]
+        off = self._short_way.of([output])(off)
         return float(np.sqrt(np.mean(off**2)))
 
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.elsewhere import Elsewhere
 from vsensor_ros.bank.record import Record
 from vsensor_ros.bank.rehearsal import Growth
@@ -23,15 +24,20 @@ class Measured:
     """
 
     def __init__(self, batch: Batch, ages: Mapping[str, int], period: int,
-                 Cu: np.ndarray | None) -> None:
-        """Prepare for sensors with these max_ages [ns], and a grid of this period [ns]."""
+                 Cu: np.ndarray | None, short_way: ShortWay) -> None:
+        """
+        Prepare for sensors with these max_ages [ns], and a grid of this period [ns].
+
+        short_way: of residuals (T, O) that wrap.
+        """
         self._batch, self._ages, self._period, self._Cu = batch, ages, period, Cu
+        self._short_way = short_way
         self._seconds = period * 1e-9
         self._recent = np.array(list(ages.values())) * 0.5e-9
         self._warm = np.minimum(batch.warm_up / self._seconds, 1e18)  # steps
         self.record = Record(batch.slowest, batch.own, len(ages), self._seconds, batch.error,
                              batch.assumed)
-        self.growth = Growth(batch, self._seconds)
+        self.growth = Growth(batch, self._seconds, short_way)
         # of temporary ones: what a gap has left in a free run stays there
         self._stays = np.isin(batch.of, [t.own for t in batch.tracked if t.temporary])
         self.base = self.record.in_steady_state()
@@ -99,7 +105,7 @@ class Measured:
         with np.errstate(all='ignore'):
             estimates = self._batch.estimates(z, told.y, told.held)
             readings = told.y if self._Cu is None else told.y + told.held @ self._Cu.T
-            return readings[:, own] - estimates, \
+            return self._short_way(readings[:, own] - estimates), \
                 running[:, self._batch.of] & there[:, own] & (own >= 0)
 
     def _of_the_start(self, ticks: np.ndarray, z: np.ndarray, since: np.ndarray,

@@ -13,6 +13,7 @@ from collections import deque
 import numpy as np
 from scipy.special import stdtrit
 
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.free_runs import AGES
 from vsensor_ros.bank.record import DELAY
 from vsensor_ros.observers import Batch, Told
@@ -35,12 +36,13 @@ class Growth:
     computed.
     """
 
-    def __init__(self, batch: Batch, period: float) -> None:
-        """Prepare for a grid of this period [s]."""
+    def __init__(self, batch: Batch, period: float, short_way: ShortWay) -> None:
+        """Prepare for a grid of this period [s]; short_way: of residuals (.., O) that wrap."""
         self._batch, tracked = batch, batch.tracked
         own = [t.own for t in tracked]
         # what an output of each says in flight, and the sensor that it is compared with
         self._output = np.array([np.flatnonzero(batch.of == row)[0] for row in own], dtype=int)
+        self._short_way = short_way.of(self._output)
         self._sensor = batch.own[self._output] if own else np.zeros(0, dtype=int)
         self._free = np.array([t.free for t in tracked], dtype=int)
         self._rows = np.arange(batch.size)
@@ -62,8 +64,8 @@ class Growth:
         ages = ticks[:, None] - since[:, free]
         hit = counts[:, :, None] & (ages[:, :, None] == self._ticks)  # (S, T, ages)
         if hit.any():
-            off = told.y[:, self._sensor] - self._batch.estimates(
-                z[:, self._rows], told.y, told.held)[:, self._output]
+            off = self._short_way(told.y[:, self._sensor] - self._batch.estimates(
+                z[:, self._rows], told.y, told.held)[:, self._output])
             new = np.full((2, *hit.shape[1:]), np.nan)
             at, which, age = np.nonzero(hit)
             new[0, which, age] = off[at, which]**2

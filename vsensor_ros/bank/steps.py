@@ -17,6 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.free_runs import FreeRuns
@@ -78,7 +79,9 @@ class Steps:
         Cu = Cu if Cu is not None and Cu.any() else None
         self._batch = batch_of(design, self.period * 1e-9, Cu)
         self._guards = _guards(design.sensors, guard)
-        self._runs = FreeRuns(self._batch, self.period * 1e-9)
+        turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
+        short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
+        self._runs = FreeRuns(self._batch, self.period * 1e-9, short_way)
         # the states that are kept; of a silent sensor they are wanted from before its last reading
         self._kept = self._span
         if self._runs.tracked:
@@ -89,8 +92,9 @@ class Steps:
         self._by_itself[self._runs.free] = False
         check_ends(command_ends, design.inputs)
         self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
-                            command_ends, 3 * self.period)
-        self._measured = Measured(self._batch, ages, self.period, Cu)
+                            command_ends, 3 * self.period, design.wrap)
+        self.angles = self._told.angles  # by sensor that wraps
+        self._measured = Measured(self._batch, ages, self.period, Cu, short_way)
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock

@@ -63,7 +63,8 @@ class Engine:
                                  self._intake.held, self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
-            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
+            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend,
+                       angle=self._bank.angles.get(s))
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
@@ -102,6 +103,9 @@ class Engine:
         jump = self._clock.look(now)
         if self._clock.now != before:
             self._moved = steady
+        if not before or jump > 0:  # what came before the clock began came at 0
+            for stream in self._streams:
+                stream.leap(jump or self._clock.now)
         if not jump:
             return
         self._intake.say('warning', Reason.of(
@@ -114,6 +118,8 @@ class Engine:
 
     def resume(self, now: int | None, steady: float) -> None:
         """Take the time after a rest in which nobody told it; the virtual sensors start anew."""
+        if not self._clock.now:
+            self.look(now, steady)
         self._clock.resume(now)
         self._moved = steady
         if self._bank.time is not None:
@@ -383,9 +389,10 @@ class Engine:
             key = self._who_would(name, would)
             said = None if key is None or time is None else self._bank.recall(key, name, time)
             if said is not None:
-                reading = self._bank.beside(name)
-                found.append(Reserve(name, math.nan if reading is None else reading, *said[:2],
-                                     would.source is Source.VIRTUAL))
+                channel, reading = self._channels[name], self._bank.beside(name)
+                reading = math.nan if reading is None else channel.as_said(reading)
+                found.append(Reserve(name, reading, channel.as_said(said[0], near=reading),
+                                     said[1], would.source is Source.VIRTUAL))
         return found
 
     def heard_any(self) -> bool:
@@ -437,7 +444,8 @@ class Engine:
             entry = self._bank.entry(fault_set, name)
             serves = None if isinstance(entry, Refusal) else entry
             deviation = self._bank.deviation(fault_set, name)
-            interval = self._bank.interval(fault_set, name)
+            interval = channel.beside(self._bank.interval(fault_set, name),
+                                      self._bank.estimate(fault_set, name), lasting)
         elif source == NONE:
             value = math.nan
         else:

@@ -148,7 +148,8 @@ class StandIn:
         elif channel.source == VIRTUAL and fault_set != channel.fault_set:
             old = self._bank.entry(channel.fault_set, channel.name)
             reads = () if old is None or isinstance(old, Refusal) else old.reads
-            left = channel.value - channel.blend.left(self._clock.lasting()) - value
+            left = channel.shortest(
+                channel.value - channel.blend.left(self._clock.lasting()) - value)
             if not set(distrusted).isdisjoint(reads) and abs(left) > OUT_OF_LINE * deviation:
                 above = math.nan  # what it read was faulty already
         entry = self._bank.entry(fault_set, channel.name)

@@ -22,7 +22,13 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import End
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.engine.isolation_names import Names, Wrong
-from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
+from vsensor_ros.node.endpoints import (
+    Command,
+    Endpoints,
+    find_endpoints,
+    Sensor,
+    with_turns,
+)
 from vsensor_ros.node.known import AUTO, DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import (
     Block,
@@ -97,6 +103,7 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
     endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
     others: list[str] = []
     if design is not None:
+        design = with_turns(design, endpoints.sensors, where, problems)
         quality = qos_parameters(endpoints.ends(node))
         known.update(quality)
         _check({name: quality[name] for name in given if name in quality}, given, where, problems)

@@ -29,6 +29,9 @@ class Contents:
     # how far off an estimate may be to be of use, and where readings lie, by sensor, in its unit
     tolerances: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # sensors that wrap: of each angle who reads it, and what a turn is in that reading, negative
+    # if it runs the other way
+    wrap: tuple[Mapping[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.Cu is not None:

@@ -81,6 +81,7 @@ def _to_record(design: Contents) -> dict[str, Any]:
             **({'tolerances': dict(design.tolerances)} if design.tolerances else {}),
             **({'ranges': {name: list(limits) for name, limits in design.ranges.items()}}
                if design.ranges else {}),
+            **({'wrap': [dict(turns) for turns in design.wrap]} if design.wrap else {}),
         },
         'wanted': list(design.wanted),
         'entries': [_entry_record(entry) for entry in design.each_once()],
@@ -106,7 +107,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     top.only(('format', 'version', 'plant', 'wanted', 'entries'))
     plant = top.object('plant')
     plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
-                'tolerances', 'ranges'))
+                'tolerances', 'ranges', 'wrap'))
     states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
     sample_time = None
     if plant.record.get('sample_time', 0) is not None:
@@ -122,7 +123,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     entries: dict[Key, Entry | Refusal] = {}
     design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
                       sample_time, entries, wanted, Cu, _read_tolerances(plant, sensors),
-                      _read_ranges(plant, sensors))
+                      _read_ranges(plant, sensors), _read_wrap(plant, sensors))
     for reader in top.objects('entries'):
         channel, fault_set = _read_key(reader, design)
         entry: Entry | Refusal
@@ -153,6 +154,21 @@ def _read_ranges(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, tu
             raise reader.fail(name, 'is not [low, high] with low below high')
         ranges[name] = float(low), float(high)
     return ranges
+
+
+def _read_wrap(plant: CheckedObject,
+               sensors: tuple[str, ...]) -> tuple[dict[str, float], ...]:
+    angles: list[dict[str, float]] = []
+    for reader in plant.objects('wrap') if 'wrap' in plant.record else []:
+        reader.only(sensors)
+        turns = {name: reader.number(name) for name in reader.record}
+        for name, turn in turns.items():
+            if not turn:
+                raise reader.fail(name, 'is no turn')
+            if any(name in others for others in angles):
+                raise reader.fail(name, 'stands there twice')
+        angles.append(turns)
+    return tuple(angles)
 
 
 def _by_sensor(plant: CheckedObject, key: str, sensors: tuple[str, ...]) -> CheckedObject:

@@ -2,8 +2,8 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states
-(unit, initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit),
-sensors (measures, unit, noise, tolerance), operating_point, and the right-hand side: dynamics, one
+(unit, initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit), sensors
+(measures, unit, noise, tolerance, wrap), operating_point, and the right-hand side: dynamics, one
 equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of
 which combinations of states). Every number may be an expression of the parameters. What is wrong
 gives one BadInput line that names the file, the place and the mend.
@@ -197,7 +197,7 @@ class _File:
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
         inputs = self.section('inputs', ('unit', 'operating'))
         disturbances = self.section('disturbances', ('unit',))
-        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance'),
+        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap'),
                                'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
@@ -248,6 +248,7 @@ class _File:
             ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], slow=slow,
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
                         for s, e in sensors.items() if 'tolerance' in e},
+            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()],
             name=name, where=self.path)
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
@@ -262,6 +263,16 @@ class _File:
         if value < 0.0:
             raise self.fail(f'{place}.{what}', f'{value:g} is negative',
                             'give a standard deviation')
+        return value
+
+    def turn(self, entry: Mapping[str, Any], key: str) -> float:
+        """Read what a turn is in the readings of a sensor, NaN if it does not wrap."""
+        if 'wrap' not in entry:
+            return math.nan
+        value = self.number(entry['wrap'], key)
+        if value <= 0.0:
+            raise self.fail(key, f'{value:g} is not above 0',
+                            'give what a turn is in its unit, such as 2*pi or 360')
         return value
 
     def truth(self, entry: Mapping[str, Any], what: str, place: str) -> bool:

@@ -72,6 +72,7 @@ class Plant:
     ranges: np.ndarray                  # (n, 2), where the states live; -inf, inf where unknown
     slow: np.ndarray                    # (n,) bool: offsets, which only drift
     tolerances: dict[str, float]        # by sensor: how far off an estimate of it may be
+    wrap: np.ndarray                    # (l,), what a turn is in each reading, NaN: it wraps not
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
@@ -85,7 +86,8 @@ class Plant:
                       operating_point: Any = None, operating_input: Any = None,
                       Cu: Any = None, Cd: Any = None, process_noise: Any = None,
                       ranges: Any = None, slow: Sequence[str] = (),
-                      tolerances: Mapping[str, float] | None = None, name: str = 'plant',
+                      tolerances: Mapping[str, float] | None = None, wrap: Any = None,
+                      name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
         Make a plant of arrays.
@@ -97,8 +99,9 @@ class Plant:
         A is taken as it stands: no formal addend is moved into it. Cu (l, m), Cd (l, d): zero
         when None; flat for one sensor or one column. process_noise (n,), NaN where unknown;
         ranges (n, 2), low < high, -inf and inf where unknown. slow: names of states that only
-        drift; tolerances: how far off an estimate may be, by sensor. where: what error lines call
-        the source. Raises BadInput.
+        drift; tolerances: how far off an estimate may be, by sensor. wrap (l,): of a heading that
+        jumps at +-pi 2 pi, NaN where nothing wraps. where: what error lines call the source.
+        Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -156,7 +159,8 @@ class Plant:
             Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
             process_noise=_noise(process_noise, n, where, 'process_noise'),
             ranges=_ranges(ranges, n, where), slow=_marks(slow, state_names, where),
-            tolerances=_tolerances(tolerances or {}, sensor_names, where))
+            tolerances=_tolerances(tolerances or {}, sensor_names, where),
+            wrap=_turns(wrap, len(c), where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -172,6 +176,26 @@ class Plant:
             psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
             total = total + np.multiply.outer(column, psi)
         return total if rho is None else total + self.D @ _beside(rho, x)
+
+    def angles(self) -> tuple[dict[str, float], ...]:
+        """
+        Return of each angle that sensors wrap who reads it: by name, what a turn is there.
+
+        Sensors of the same functional read the same angle, whatever their units. A turn is
+        negative where the reading runs the other way than that of the first.
+        """
+        found: list[tuple[np.ndarray, dict[str, float]]] = []
+        for i in np.flatnonzero(~np.isnan(self.wrap)):
+            name, turn = self.sensors[i], float(self.wrap[i])
+            row = np.concatenate([self.C[i], self.Cu[i], self.Cd[i]]) / turn
+            for first, turns in found:
+                sign = np.sign(row @ first)
+                if np.allclose(sign * row, first, 1e-9, 0.0):
+                    turns[name] = float(sign) * turn
+                    break
+            else:
+                found.append((row, {name: turn}))
+        return tuple(turns for _, turns in found)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
         """Return between what readings lie by the states' ranges, of sensors that these tell."""
@@ -198,6 +222,8 @@ class Plant:
             self.A, self.B, self.C, self.D, self.P, self.Cu, self.Cd, self.initial,
             self.noise, self.process_noise, self.ranges,
             'continuous' if self.sample_time is None else float(self.sample_time).hex())
+        if not np.isnan(self.wrap).all():
+            add('wrap', self.wrap)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -297,6 +323,14 @@ def _noise(value: Any, count: int, where: object, key: str = 'noise') -> np.ndar
     if (array < 0.0).any():
         raise BadInput(where, key, f'{shown(value)} is negative somewhere',
                        f'give {count} standard deviations, NaN where unknown')
+    return array
+
+
+def _turns(value: Any, count: int, where: object) -> np.ndarray:
+    array = _vector(value, np.full(count, np.nan), where, 'wrap', unknown=True)
+    if (array <= 0.0).any():
+        raise BadInput(where, 'wrap', f'{shown(value)} is not above 0 somewhere', 'give what a '
+                       'turn is in each reading, such as 2*pi or 360; NaN where nothing wraps')
     return array
 
 
