@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking import Tracking
 
 PATIENT = {'deadline': None, 'suppress_health_check': [HealthCheck.too_slow]}
 
@@ -62,6 +63,39 @@ def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None,
 def design(*sensors, names=('y1', 'y2'), inputs=(), wanted=()):
     return Design('test', '0', ('x1',), tuple(inputs), tuple(names), {}, sensors[0].sample_time,
                   {(v.fault_set, v.channel): v for v in sensors}, wanted)
+
+
+ENCODER, TACHO, JERK = 0.0005, 0.005, 0.2  # standard deviations of the joint's noise
+
+
+def encoder(grade='temporary', rate=50.0, gain=1.0, **more):
+    """
+    Make what stands in for the encoder of a joint from its tacho, for so many readings a second.
+
+    Its gain and covariances are those of the Kalman filter of the scalar ``angle' = vel``.
+    """
+    W = TACHO**2 / rate + JERK**2 / rate**2 / 12
+    P = np.sqrt(W * ENCODER**2 / rate)
+    one, none = np.eye(1), np.zeros((1, 0))
+    tracking = Tracking(('angle',), np.sqrt(W * rate) / ENCODER * one, one, 0.0 * one, none,
+                        P * one, W * one, 0.0)
+    return virtual_sensor([[0.0]], [[gain]], fault_set=('angle',), healthy=('tacho',),
+                          channel='angle', grade=grade, tracking=tracking, start=one, **more)
+
+
+def joint(seconds, seed=0, rate=50.0):
+    """Return the true angle and speed (n, 2) of a joint that is driven, and what sensors say."""
+    rng, h = np.random.default_rng(seed), 1 / rate
+    a, speed = np.exp(-4.0 * h), 0.0
+    x = np.zeros((round(seconds * rate) + 1, 2))
+    for k in range(1, len(x)):
+        before = speed
+        speed = a * before + (1 - a) * 4.0 * np.sin(0.8 * k * h) + \
+            JERK * np.sqrt(h) * rng.standard_normal()
+        # what the process noise does between the readings
+        between = JERK * h**1.5 / np.sqrt(12) * rng.standard_normal()
+        x[k] = x[k - 1, 0] + h * (before + speed) / 2 + between, speed
+    return x, x + rng.standard_normal(x.shape) * (ENCODER, TACHO)
 
 
 def servo(lam, k7=-1.0, z0=-1.0):
@@ -175,8 +209,8 @@ def run(bank, key, rate, readings, commands):
 @pytest.fixture(scope='session')
 def bench():
     return SimpleNamespace(
-        virtual_sensor=virtual_sensor, design=design, servo=servo, tank=tank,
-        tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
+        virtual_sensor=virtual_sensor, design=design, encoder=encoder, joint=joint, servo=servo,
+        tank=tank, tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
         Refusal=Refusal, SECOND=SECOND)
 
 

@@ -61,6 +61,19 @@ SENTENCES: dict[str, Sentence] = {
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
+    'not tracked yet': 'its channel was lost before it was known well enough to go on without it',
+    'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
+    'are kept',
+    'track lost': 'readings that it needs were missing since its channel was lost',
+    'served its time': 'served its time, until its channel is believed again: {why}',
+    'beyond the tolerance': 'its standard deviation {deviation:.3g} is above the tolerance '
+    '{limit:.3g}',
+    'beyond a tenth of the range': 'its standard deviation {deviation:.3g} is above a tenth of '
+    'the range, {limit:.3g}',
+    'outgrown': 'its standard deviation {deviation:.3g} is above ten times that at its start, '
+    '{limit:.3g}',
+    'worse than designed': 'it erred by {measured:.3g} beside the healthy sensor, more than '
+    '{limit:.3g}: it was designed for {figure:.3g}',
     # of faulty sensors: why they are not believed
     'silent': 'silent',
     'recovering': 'healthy again, believed after {dwell:g} s without a fault',
@@ -74,6 +87,9 @@ SENTENCES: dict[str, Sentence] = {
     'ready just now': 'was not ready until just now',
     'next best': '{exact}; that for {fault_set}: {next}',
     'served by a superset': '{why}; {exact}',
+    'serves early': '{why}; {left}',
+    'less sure': 'the design for {fault_set} is good to {deviation:.3g} only',
+    'had its time': 'it has served its time, until its channel is believed again',
     'force waits': 'force waits: {why}',
     'force waits for another': 'force waits: {harmed}: {why}',
     'force ended': 'force ended: {why}',

@@ -38,6 +38,14 @@ _PASSES = {'converging', 'converging, not proved', 'about to start', 'ready agai
            'ready just now'}
 _NEVER = {'not designed', 'no design', 'refused', 'several rows', 'start unknown'}
 
+# what mends an estimate that is not good enough; {} is the parameter that limits it
+_GIVE = 'if it will do all the same, give {}'
+_RAISED = {
+    'too uncertain': 'raise {}, if that will do',
+    'beyond the tolerance': _GIVE,
+    'beyond a tenth of the range': _GIVE,
+    'outgrown': _GIVE,
+    'worse than designed': f'mend the model and its noise in the plant file; {_GIVE}'}
 _NEVER_HEARD = {'no reading yet', 'no command yet'}
 
 
@@ -66,8 +74,8 @@ def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -
         return [f'cannot be replaced ({reserve})']
     parts = [f'could not be replaced now ({reserve})']
     for reason in _leaves(reserve) if hope is Chance.MEND else ():
-        if reason.code == 'too uncertain':
-            parts.append(f'raise sensors.{name}.max_deviation, if that will do')
+        if reason.code in _RAISED:
+            parts.append(_RAISED[reason.code].format(f'sensors.{name}.max_deviation'))
         elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
             parts.append(_mend(origin, reason.code in _NEVER_HEARD))
     return list(dict.fromkeys(parts))

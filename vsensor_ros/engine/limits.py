@@ -1,0 +1,87 @@
+"""How uncertain an estimate may be. Beyond that it is not valid, and the reason says which limit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import math
+
+from vsensor_ros.observers import Design, Entry
+from vsensor_ros.reason import Reason
+
+SHARE = 0.01  # of the range: a model that is so near is good, whatever was designed for
+TIMES = 10.0  # the figure that it was designed for
+# codes of the reasons why a deviation is too large
+BEYOND = {'too uncertain', 'beyond the tolerance', 'beyond a tenth of the range', 'outgrown'}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """
+    The limits of a design's estimates.
+
+    A number that is given for a sensor counts alone. Else a deviation may be at most the tolerance
+    of the plant file, or a tenth of the sensor's range; and what was measured beside the healthy
+    sensor at most TIMES the design's figure. What is not known has no limit, but for temporary
+    virtual sensors: their deviation grows, so they have one in any case.
+    """
+
+    design: Design
+    given: Mapping[str, float | None]  # by sensor, in its unit; 0: no limit; None: those above
+
+    def exceeded(self, entry: Entry, channel: str, deviation: float,
+                 measured: Callable[[], float]) -> Reason | None:
+        """
+        Return why the estimate of a channel is not good enough, or None when it is.
+
+        deviation: of the estimate now, inf when not known. measured: returns its rms error while
+        the sensor was healthy, NaN when not known.
+        """
+        given, temporary = self.given[channel], entry.grade == 'temporary'
+        if given:
+            return None if deviation <= given else Reason.of(
+                'too uncertain', deviation=deviation, limit=given)
+        if given is not None and not temporary:
+            return None
+        limit = self.design.tolerance(channel)
+        if limit is not None and deviation > limit and (temporary or math.isfinite(deviation)):
+            code = 'beyond the tolerance' if channel in self.design.tolerances else \
+                'beyond a tenth of the range'
+            return Reason.of(code, deviation=deviation, limit=limit)
+        figure = _figure(entry)
+        if temporary:
+            return Reason.of('outgrown', deviation=deviation, limit=TIMES * figure) \
+                if limit is None and not deviation <= TIMES * figure else None
+        return self._unlike(entry, channel, deviation, measured)
+
+    def largest(self, entry: Entry, channel: str) -> float:
+        """Return the largest deviation of an estimate that is good enough, inf: there is none."""
+        given = self.given[channel]
+        if given or (given is not None and entry.grade != 'temporary'):
+            return given or math.inf
+        limit = self.design.tolerance(channel)
+        if limit is None and entry.grade == 'temporary':
+            return TIMES * _figure(entry)
+        return math.inf if limit is None else limit
+
+    def _unlike(self, entry: Entry, channel: str, deviation: float,
+                measured: Callable[[], float]) -> Reason | None:
+        """
+        Return that it is far worse than designed.
+
+        A figure that is made of assumed noise says nothing of that. Nor does what is left of the
+        start, or a reading that comes late: that passes, and is in the deviation. But where
+        something surer serves than what was measured, that was no good measure of it.
+        """
+        if entry.noise is None or entry.noise.assumed:
+            return None
+        low, high = self.design.ranges.get(channel, (0.0, 0.0))
+        limit = max(TIMES * entry.noise.error, SHARE * (high - low))
+        if deviation > limit and (found := measured()) > limit:
+            return Reason.of('worse than designed', measured=found, limit=limit,
+                             figure=entry.noise.error)
+        return None
+
+
+def _figure(entry: Entry) -> float:
+    return math.inf if entry.noise is None else entry.noise.error
