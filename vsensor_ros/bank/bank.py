@@ -336,7 +336,11 @@ class Bank(Steps):
         age = float(state.tick - state.since[row]) * self.period * 1e-9
         i, wider = self._tracked.get(output), self._widening(output)
         if i is not None and row == self._batch.tracked[i].free:
-            found = math.hypot(unseen[output], wider * float(self._measured.growth.stated(i, age)))
+            # what the model errs more now reaches it in time as much as the independent run
+            more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
+                math.sqrt(wider**2 - 1.0) * self._measured.base[output]
+            found = math.hypot(unseen[output], more, wider * float(
+                self._measured.growth.stated(i, age)))
         else:
             found = math.hypot(
                 wider * self._measured.base[output], unseen[output], self._batch.deviation(
@@ -346,12 +350,12 @@ class Bank(Steps):
     def _widening(self, output: int) -> float:
         """Return by what factor it is worse now than usual, by what healthy sensors show."""
         elsewhere = self._measured.elsewhere
-        if elsewhere.told_of(output):
+        if elsewhere.told_of[output]:
             oldest = self._past[0].tick
             for first, end in elsewhere.due(oldest, self._past[-1].tick):
                 self._measured.look(*self._stacked(
                     islice(self._past, first - oldest, end - oldest)))
-        return elsewhere.widening(output)
+        return elsewhere.widening[output]
 
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""

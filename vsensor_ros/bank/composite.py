@@ -110,7 +110,8 @@ class Composite(Batch):
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return the outputs of all kinds, side by side."""
         return np.concatenate([np.zeros((*z.shape[:-2], 0)), *(
-            part.estimates(z[..., rows, :k], y, held) for part, rows, _, k in self.parts)], axis=-1)
+            part.estimates(z[..., rows, :k], y, held)
+            for part, rows, _, k in self.parts)], axis=-1)
 
     def waiting(self, output: int, z: np.ndarray, age: float) -> float:
         """Ask the kind."""

@@ -39,29 +39,29 @@ class Elsewhere:
         # [i, j]: j stands for a sensor that i reads, and goes on when those that fail i's have
         tells = reads[:, own] & ~((failed.astype(int) @ reads.T.astype(int)) > 0) \
             & ~reads[np.arange(len(own)), own] & (own >= 0)
-        self._told_by = [np.flatnonzero(row) for row in tells]
+        self._tells = tells
         self._rows = max(1, round(WHILE / period))
-        self.usual = np.full(len(own), np.inf)  # (O,)
+        self._usual = np.full(len(own), np.inf)  # (O,)
+        self.told_of: list[bool] = tells.any(axis=1).tolist()  # anybody tells of an output
         self.restart()
 
     def restart(self) -> None:
         """Forget the means."""
         self._squares: deque[np.ndarray] = deque(maxlen=_MEANS)  # (O,), NaN where nothing is known
         self._done: float = -np.inf  # the last tick that is in a mean
+        # by output: by what factor its deviation is larger than was known, 1 or more
+        self.widening: list[float] = [1.0] * len(self.told_of)
 
     def forget(self, outputs: np.ndarray) -> None:
         """Forget those of some outputs (O,) bool."""
         for squares in self._squares:
             squares[outputs] = np.nan
+        self._compare()
 
     def note_usual(self, slowly: np.ndarray, deviation: np.ndarray) -> None:
         """Note rms means (O,), NaN where not known, and standard deviations (O,) as usual."""
         slowly = np.where(np.isnan(slowly), deviation, slowly)
-        self.usual = np.fmax(_OF_MEANS * slowly, _OF_DEVIATION * deviation)
-
-    def told_of(self, output: int) -> bool:
-        """Tell whether there is anybody who tells of the model where an output is."""
-        return len(self._told_by[output]) > 0
+        self._usual = np.fmax(_OF_MEANS * slowly, _OF_DEVIATION * deviation)
 
     def due(self, oldest: int, newest: int) -> Iterator[tuple[int, int]]:
         """Yield (first, end) of the ticks whose mean can be taken: later, readings may lack."""
@@ -74,15 +74,18 @@ class Elsewhere:
 
     def take(self, residuals: np.ndarray, counts: np.ndarray) -> None:
         """Take the residuals (T, O) of such ticks; a mean counts when all of them do."""
-        self._squares.append(np.where(counts.all(axis=0), residuals.mean(axis=0)**2, np.nan))
+        with np.errstate(all='ignore'):
+            self._squares.append(np.where(
+                counts.all(axis=0), residuals.mean(axis=0)**2, np.nan))
+        self._compare()
 
-    def widening(self, output: int) -> float:
-        """Return by what factor an output's deviation is larger than was known: 1 or more."""
-        told_by = self._told_by[output]
-        if not len(told_by) or not self._squares:
-            return 1.0
-        squares = np.array([s[told_by] for s in self._squares])
+    def _compare(self) -> None:
+        """Compare the means with what is usual."""
+        if not self._squares:
+            return
+        squares = np.array(self._squares)
         known = np.isfinite(squares)
         with np.errstate(all='ignore'):
-            off = np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / known.sum(axis=0))
-            return float(np.fmax.reduce(off / self.usual[told_by], initial=1.0))
+            off = np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / known.sum(axis=0)) \
+                / self._usual
+            self.widening = np.fmax(1.0, np.where(self._tells, off, 0.0)).max(axis=1).tolist()

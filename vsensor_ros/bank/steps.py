@@ -225,7 +225,7 @@ class Steps:
         return (found - self._at(0)) // self.period
 
     def _follow(self) -> None:
-        """Let the free runs go on whose trackers have stopped because their channels are silent."""
+        """Let the free runs go on whose trackers have stopped: their channels are silent."""
         now = self._at(self._past[-1].tick)
         moved = self._runs.stopped(self._past[-1])
         begun = [self._runs.lose(i, self._clean(i, now), self._past) for i in moved]

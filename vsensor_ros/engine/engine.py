@@ -375,18 +375,17 @@ class Engine:
 
     def reserves(self) -> list[Reserve]:
         """Return what could be said in place of each healthy sensor, at `state_time`."""
-        found = []
+        found, time = [], self._bank.time
         for name in (name for stream in self._streams if stream.active for name in stream.names):
             if name in self._switch.faulty:
                 continue
             would = self._reserve(name)
             key = self._who_would(name, would)
-            estimate = None if key is None else self._bank.estimate(key, name)
-            if key is not None and estimate is not None:
+            said = None if key is None or time is None else self._bank.recall(key, name, time)
+            if said is not None:
                 reading = self._bank.beside(name)
-                found.append(Reserve(
-                    name, math.nan if reading is None else reading, estimate,
-                    self._bank.deviation(key, name), would.source is Source.VIRTUAL))
+                found.append(Reserve(name, math.nan if reading is None else reading, *said[:2],
+                                     would.source is Source.VIRTUAL))
         return found
 
     def heard_any(self) -> bool:

@@ -202,8 +202,8 @@ def named(design: Design) -> dict[str, Known]:
         known[f'sensors.{name}.input'] = Known(
             str, '', f'topic on which the driver of {name} publishes; default: the topic + _raw')
         known[f'sensors.{name}.guard'] = Known(
-            float, GUARD, f'time before the loss of {name} in which it may have been faulty already: '
-            'its last good readings are from before that', 's', 0.0, LONGEST_GUARD)
+            float, GUARD, f'time before the loss of {name} in which it may have been faulty '
+            'already: its last good readings are from before that', 's', 0.0, LONGEST_GUARD)
         for key, general in OVERRIDES.items():
             known[f'sensors.{name}.{key}'] = _override(name, general)
     return known
