@@ -157,8 +157,8 @@ def test_where_nothing_renders_the_pole_is_drawn(story, plant, tmp_path, monkeyp
     monkeypatch.setattr(balance_picture, 'render', lambda *_: None)
     drawn = []
     monkeypatch.setattr(balance_picture, 'draw_pose', lambda axes, *pose: drawn.append(pose))
-    draw_balance(story, plant, [(watched(story, plant, False, 6.0), watched(story, plant, True))],
-                 tmp_path / 'pole.png')
+    draw_balance(story, plant, [(watched(story, plant, False, 6.0), watched(story, plant, True),
+                                 'replaced')], tmp_path / 'pole.png')
     assert (tmp_path / 'pole.png').read_bytes().startswith(b'\x89PNG')
     leans = [lean for _, lean, *_ in drawn]
     assert len(leans) == 16 and leans[0] == pytest.approx(0.1 * np.sin(story.failed_at - 0.5))

@@ -10,10 +10,10 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design
-from vsensor_ros.lab.balance_picture import draw_balance
+from vsensor_ros.lab.balance_picture import draw_balance, fate
 from vsensor_ros.lab.balance_run import balance, Moment, Watched
 from vsensor_ros.lab.demo_table import Result, Row
-from vsensor_ros.observers import Refusal
+from vsensor_ros.observers import Design, Entry, horizon, Refusal, VirtualSensor
 from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.simulate.balance import Balance, load_balance
 
@@ -55,11 +55,12 @@ def show_balance(folder: Path, output: Path, say: Callable[[str], None],
         alone = balance(story, plant, failed, False, folder, design_file, output, progress)
         update('starting the machine, its controller and the replacer')
         replaced = balance(story, plant, failed, True, folder, design_file, output, progress)
-        pairs.append((alone, replaced))
+        how = _how(designed, virtual)
+        pairs.append((alone, replaced, how))
         say(f'  {failed} freezes at {story.failed_at:g} s, and nobody replaces it: '
-            f'{_fate(story, alone)}')
-        say(f'  {failed} freezes at {story.failed_at:g} s, and is replaced out of '
-            f'{", ".join(virtual.reads + virtual.commands)}: {_fate(story, replaced)}')
+            f'{fate(story, plant, alone)}')
+        say(f'  {failed} freezes at {story.failed_at:g} s, and is {how}, out of '
+            f'{", ".join(virtual.reads + virtual.commands)}: {fate(story, plant, replaced)}')
         results.append(judge_balance(story, plant, alone, replaced, folder.name, virtual.order))
         say(f'  {told_of(story, plant, replaced)}')
     update('drawing the picture')
@@ -67,10 +68,15 @@ def show_balance(folder: Path, output: Path, say: Callable[[str], None],
     return results
 
 
-def _fate(story: Balance, run: Watched) -> str:
-    if run.fell_at is None:
-        return f'it stands the {story.end - story.failed_at:g} s to the end'
-    return f'it falls {run.fell_at - story.failed_at:.1f} s later'
+def _how(designed: Design, entry: Entry) -> str:
+    """Say whether a sensor is replaced for good, else until when it is good for what."""
+    if not (isinstance(entry, VirtualSensor) and entry.grade == 'temporary'):
+        return 'replaced'
+    tolerance = designed.tolerance(entry.channel)
+    if tolerance is None:
+        return 'replaced for a time'
+    return (f'replaced for a time (stated: {horizon(entry, tolerance):.0f} s to {tolerance:g} '
+            f'{designed.units.get(entry.channel, "")})')
 
 
 def judge_balance(story: Balance, plant: Plant, alone: Watched, replaced: Watched, system: str,

@@ -28,31 +28,39 @@ PIXELS = 260                        # of that height
 BEFORE, AFTER = 1.0, 4.0            # s around the fault, where it is shown in detail
 
 
-def draw_balance(story: Balance, plant: Plant, pairs: Sequence[tuple[Watched, Watched]],
+def draw_balance(story: Balance, plant: Plant, pairs: Sequence[tuple[Watched, Watched, str]],
                  path: Path) -> None:
-    """Write a PNG of pairs of runs: a sensor that fails and is not replaced, and is."""
+    """Write a PNG of a sensor that fails: when nobody replaces it, and when it is (words: how)."""
     figure = plt.figure(figsize=(13, 6.3 * len(pairs) + 0.5), layout='constrained')
     figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.5 / figure.get_figheight()))
-    figure.suptitle(f'{story.title}: a sensor freezes at {story.failed_at:g} s and is isolated '
+    figure.suptitle(f'{story.title}: a sensor freezes at {story.failed_at:g} s (red), is isolated '
                     f'{1e3 * (story.isolated_at - story.failed_at):.0f} ms later', x=0.01, y=0.995,
                     ha='left', fontsize=14, weight='bold')
     parts = figure.subfigures(len(pairs), 1, squeeze=False, hspace=0.03)[:, 0]
-    for part, (alone, replaced) in zip(parts, pairs):
-        _draw_pair(part, story, plant, alone, replaced)
+    for part, (alone, replaced, how) in zip(parts, pairs):
+        _draw_pair(part, story, plant, alone, replaced, how)
     figure.savefig(path, dpi=100)
     plt.close(figure)
 
 
-def _draw_pair(part: SubFigure, story: Balance, plant: Plant, alone: Watched,
-               replaced: Watched) -> None:
+def fate(story: Balance, plant: Plant, run: Watched) -> str:
+    """Say what became of it."""
+    if run.fell_at is None:
+        return f'it stands the {story.end - story.failed_at:g} s to the end'
+    place = run.truth[story.step(run.fell_at), plant.sensors.index(story.travels)]
+    what = 'hits the end of its rail' if abs(place) > story.fallen.get(story.travels, np.inf) \
+        else 'falls'
+    return f'it {what} {run.fell_at - story.failed_at:.1f} s later'
+
+
+def _draw_pair(part: SubFigure, story: Balance, plant: Plant, alone: Watched, replaced: Watched,
+               how: str) -> None:
     failed = alone.failed_sensor
     upper, middle, lower = part.subfigures(3, 1, height_ratios=(1.0, 1.0, 1.7), hspace=0.0)
-    fate = 'it stands' if alone.fell_at is None else \
-        f'it falls {alone.fell_at - story.failed_at:.1f} s later'
-    _strip(upper, story, plant, alone, f'{failed} frozen, and nobody replaces it: {fate}')
-    fate = f'it stands the {story.end - story.failed_at:g} s' if replaced.fell_at is None else \
-        f'it falls {replaced.fell_at - story.failed_at:.1f} s later'
-    _strip(middle, story, plant, replaced, f'{failed} frozen, and replaced: {fate}')
+    _strip(upper, story, plant, alone,
+           f'{failed} frozen, and nobody replaces it: {fate(story, plant, alone)}')
+    _strip(middle, story, plant, replaced,
+           f'{failed} frozen, and {how}: {fate(story, plant, replaced)}')
     near, error = lower.subplots(1, 2, width_ratios=(1.0, 1.35))
     unit = plant.units.get(failed, '')
     column = plant.sensors.index(failed)
@@ -90,6 +98,8 @@ def _draw_pair(part: SubFigure, story: Balance, plant: Plant, alone: Watched,
     for axes in (near, error):
         axes.axvspan(story.failed_at, story.end, color=FAULT, alpha=0.5, lw=0, zorder=-3)
         axes.axvline(story.isolated_at, color='black', lw=1, ls=':')
+        axes.text(story.isolated_at, 0.02, ' isolated', fontsize=8.5,
+                  transform=axes.get_xaxis_transform())
         axes.set_xlabel('time [s]')
         axes.grid(alpha=0.25)
         axes.spines[['top', 'right']].set_visible(False)
@@ -121,11 +131,18 @@ def _strip(part: SubFigure, story: Balance, plant: Plant, run: Watched, title: s
 
 def _moments(story: Balance, run: Watched, count: int) -> list[int]:
     """Return the rows of a strip: one before the fault, the last at the fall or at the end."""
-    last = len(run.time) - 1 if run.fell_at is None else \
-        min(len(run.time) - 1, story.step(run.fell_at + 0.35))
     first = story.step(story.failed_at)
-    share = np.linspace(0.0, 1.0, count - 1) ** (1.0 if run.fell_at is not None else 1.6)
-    return [first - story.step(0.5), *(first + np.round(share * (last - first)).astype(int))]
+    if run.fell_at is None:
+        last, share = len(run.time) - 1, np.linspace(0.0, 1.0, count - 1) ** 1.6
+    else:
+        last = min(len(run.time) - 1, story.step(run.fell_at + 0.35))
+        share = np.linspace(0.0, 1.0, count - 1)
+    rows = first + np.round(share * (last - first)).astype(int)
+    if run.fell_at is None and run.failed_sensor == story.travels:  # to be seen at either end
+        half = story.to_and_fro / 2.0
+        turns = np.round(run.time[rows[1:]] / half - 0.5) + 0.5
+        rows[1:] = np.minimum(np.round(turns * half / story.period).astype(int), last)
+    return [first - story.step(0.5), *(int(row) for row in rows)]
 
 
 def draw_pose(axes: Axes, position: float, angle: float, centre: float, span: float) -> None:
