@@ -39,8 +39,8 @@ ARROWS = {  # room: what it may import besides itself
                          'commissioning'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
-DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'pandas', 'pooch', 'rich',
-        'sympy', 'threadpoolctl'}  # never on the machine
+DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'mujoco', 'pandas', 'pooch',
+        'rich', 'sympy', 'threadpoolctl'}  # never on the machine
 
 
 def run(*command, cwd=ROOT, **environment):
@@ -144,7 +144,8 @@ def test_every_import_is_declared():
         re.split(r'[<>=~]', line)[0].lower().replace('pyyaml', 'yaml')
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
-                     setup['options.extras_require']['tools'])
+                     setup['options.extras_require']['tools'],
+                     setup['options.extras_require']['mujoco'])
         for line in text.split()
     }
     xml = (ROOT / 'package.xml').read_text()
