@@ -69,7 +69,7 @@ def test_what_serves_for_a_time_is_told_from_what_serves_for_good(tmp_path, caps
     assert Design.load(path).tolerance('tacho') == 0.1
     plant.write_text(JOINT.replace(', range: [-3, 3]', ''))
     assert main([str(plant), '-o', str(path)]) == 0
-    assert ('for 1.6 s to 0.001 rad, for 2.9 min to 0.01 rad, for 4.8 h to 0.1 rad; '
+    assert ('for 1.6 s to 0.001 rad, for 2.9 min to 0.01 rad, for 4.8 h to 0.1 rad;'
             in capsys.readouterr().out)
     assert main([str(plant), '-o', str(path), '--no-temporary']) == 0
     said = capsys.readouterr().out
