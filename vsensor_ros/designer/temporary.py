@@ -2,7 +2,7 @@
 Virtual sensors of which a mode stays: they serve for a time after their channel was lost.
 
 All that healthy sensors can correct they correct; the rest keeps its modes and starts from the
-last good readings. Source: method, section 8.
+last good readings. Source: method 3.12.
 """
 
 from __future__ import annotations
