@@ -56,14 +56,14 @@ class Limits:
         return self._unlike(entry, channel, deviation, measured)
 
     def largest(self, entry: Entry, channel: str) -> float:
-        """Return the largest deviation of an estimate that is good enough, inf: there is none."""
+        """Return the largest deviation of an estimate that is good enough; inf: any is."""
         given = self.given[channel]
         if given or (given is not None and entry.grade != 'temporary'):
             return given or math.inf
         limit = self.design.tolerance(channel)
-        if limit is None and entry.grade == 'temporary':
-            return TIMES * _figure(entry)
-        return math.inf if limit is None else limit
+        if limit is None:
+            return 0.0 if entry.grade == 'temporary' else math.inf
+        return limit
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
                 measured: Callable[[], float]) -> Reason | None:
