@@ -72,7 +72,8 @@ def _least(problem: Problem, avoid: frozenset[int]) -> VirtualSensor | None:
     staying = [int(lasting(s.N, s.sample_time)[1].sum()) for s in sensors]
     sensors = [s for s, count in zip(sensors, staying) if count == min(staying)]
     after = np.array([deviation_after(s, np.array(TIMES) / mean_rate(problem)) for s in sensors])
-    worst = (after / after.min(axis=0)).max(axis=1)  # at the time that suits it least
+    least = after.min(axis=0)  # which may be 0, or beyond numbers
+    worst = np.where(after == least, 1.0, after / least).max(axis=1)
     return min((s for s, ratio in zip(sensors, worst) if ratio <= QUIET * worst.min()),
                key=lambda s: (s.order, len(s.reads)))
 
