@@ -40,10 +40,10 @@ class Run:
                 bank.take(name, k * bank.period, value)
             bank.advance(k * bank.period)
             for i, key in enumerate(keys):
-                said = bank.recall(*key, bank.time)  # of the run that never read the channel
-                if said is not None:
-                    self.error[k, i] = said[0] - y[k, plant.sensors.index(key[1])]
-                    self.sigma[k, i] = said[1]
+                found = bank.recall(*key, bank.time)  # of the run that never read the channel
+                if found is not None:
+                    self.error[k, i] = found[0] - y[k, plant.sensors.index(key[1])]
+                    self.sigma[k, i] = found[1]
                     self.ready[k, i] = bank.waiting(*key) == 0.0
 
     def covered(self, start, end):
