@@ -68,7 +68,7 @@ def design(*sensors, names=('y1', 'y2'), inputs=(), wanted=()):
 ENCODER, TACHO, JERK = 0.0005, 0.005, 0.2  # standard deviations of the joint's noise
 
 
-def encoder(grade='temporary', rate=50.0, gain=1.0, **more):
+def encoder(grade='temporary', rate=50.0, gain=1.0, names=('angle', 'tacho'), **more):
     """
     Make what stands in for the encoder of a joint from its tacho, for so many readings a second.
 
@@ -77,10 +77,10 @@ def encoder(grade='temporary', rate=50.0, gain=1.0, **more):
     W = TACHO**2 / rate + JERK**2 / rate**2 / 12
     P = np.sqrt(W * ENCODER**2 / rate)
     one, none = np.eye(1), np.zeros((1, 0))
-    tracking = Tracking(('angle',), np.sqrt(W * rate) / ENCODER * one, one, 0.0 * one, none,
+    tracking = Tracking(names[:1], np.sqrt(W * rate) / ENCODER * one, one, 0.0 * one, none,
                         P * one, W * one, 0.0)
-    return virtual_sensor([[0.0]], [[gain]], fault_set=('angle',), healthy=('tacho',),
-                          channel='angle', grade=grade, tracking=tracking, start=one, **more)
+    return virtual_sensor([[0.0]], [[gain]], fault_set=names[:1], healthy=names[1:], grade=grade,
+                          tracking=tracking, start=one, **more)
 
 
 def joint(seconds, seed=0, rate=50.0):

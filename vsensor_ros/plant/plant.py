@@ -198,7 +198,7 @@ class Plant:
         return tuple(turns for _, turns in found)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return between what readings lie by the states' ranges, of each sensor that these tell."""
+        """Return between what readings lie by the states' ranges, of sensors that these tell."""
         ranges = {}
         for name, row, *direct in zip(self.sensors, self.C, self.Cu, self.Cd):
             of = np.flatnonzero(row)
