@@ -48,7 +48,8 @@ def test_force_and_release(running):
     assert ask(m, 'y2/force', data=True)[0]  # again does no harm
     assert ask(m, 'y2/clear') == (False, 'y2: is forced; release it')
     assert m.spin_until(lambda: state(m, 'y2').switches == 1)  # with the next message
-    assert ask(m, 'y2/force', data=False) == (True, 'y2 is real')
+    success, message = ask(m, 'y2/force', data=False)
+    assert success and message.startswith('y2 is real')  # a busy computer may have more to say
     assert m.spin_until(lambda: state(m, 'y2').switches == 2)
     # y3 has no virtual sensor: forcing it would only do harm
     success, message = ask(m, 'y3/force', data=True)

@@ -317,6 +317,14 @@ BROKEN = {
         lambda r: r['entries'][2].update(start=[[1.0, 1e999], [1e999, 1.0]]), 'finite'),
     'shape of Cu': (lambda r: r['plant'].update(Cu=[[1.0]]), 'plant.Cu: is not 3 x 1'),
     'Cu of null': (lambda r: r['plant'].update(Cu=None), 'plant.Cu: must be a list'),
+    'wrap of nobody': (
+        lambda r: r['plant'].update(wrap=[{'y9': 1.0}]), 'plant.wrap[0].y9: is not'),
+    'wrap of nothing': (lambda r: r['plant'].update(wrap=[{'y1': 0.0}]),
+                        'plant.wrap[0].y1: is no turn'),
+    'wrap of two': (lambda r: r['plant'].update(wrap=[{'y1': 1.0}, {'y1': 1.0}]),
+                    'plant.wrap[1].y1: stands there twice'),
+    'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
+                         'plant.wrap[0].y1: is not finite'),
     'tracking of null': (lambda r: last(r).update(tracking=None), 'tracking: must be an object'),
     'temporary without tracking': (lambda r: last(r).pop('tracking'), 'tracking: is missing'),
     'tracking that leaves it unstable': (
@@ -355,13 +363,6 @@ BROKEN = {
     'range upside down': (
         lambda r: r['plant'].update(ranges={'y1': [1.0, 1.0]}), 'ranges.y1: is not [low, high]'),
     'range as a number': (lambda r: r['plant'].update(ranges={'y1': 1.0}), 'ranges.y1'),
-    'wrap of nobody': (lambda r: r['plant'].update(wrap=[{'y9': 1.0}]), 'plant.wrap[0].y9: is not'),
-    'wrap of nothing': (lambda r: r['plant'].update(wrap=[{'y1': 0.0}]),
-                        'plant.wrap[0].y1: is no turn'),
-    'wrap of two': (lambda r: r['plant'].update(wrap=[{'y1': 1.0}, {'y1': 1.0}]),
-                    'plant.wrap[1].y1: stands there twice'),
-    'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
-                         'plant.wrap[0].y1: is not finite'),
     'lipschitz left out': (lambda r: certificate(r).pop('lipschitz'), 'lipschitz: is missing'),
 }
 

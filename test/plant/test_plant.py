@@ -118,7 +118,8 @@ def test_hash_depends_on_what_a_design_depends_on():
         tank(nonlinearities=['w1 - sqrt(w1)'] * 2 + ['w1']), tank(initial=[1, 0, 0]),
         tank(P=np.array(P) * (1 + 1e-15)), tank(G=-np.array(G)), tank(D=[1, 0, 0]),
         tank(Cu=[[0, 0], [0, 1]]), tank(Cu=[[0, 1], [0, 0]]), tank(D=[1, 0, 0], Cd=[0, 1]),
-        tank(wrap=[1, 2]), tank(noise=[1, 2]), tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
+        tank(wrap=[1, 2]), tank(noise=[1, 2]),
+        tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
         tank(nonlinearities=[NonlinearTerm('', 'w1 - sqrt(w1)', np.ones(1))] * 3)]
     assert len({first, *(plant.hash() for plant in changed)}) == 1 + len(changed)
 

@@ -270,7 +270,7 @@ CHANGES = [
     ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
     ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),
     ('noise: 1e-3', 'noise: -1', 'sensors.y1.noise: -1 is negative'),
-    ('noise: 1e-3', 'wrap: 0', 'sensors.y1.wrap: 0 is not above 0; give what a turn is in its unit'),
+    ('noise: 1e-3', 'wrap: 0', 'sensors.y1.wrap: 0 is not above 0; give what a turn is'),
     ('noise: 1e-3', 'wrap: level1', "sensors.y1.wrap: unknown name 'level1'"),
     ('noise: 1e-3', 'noise: .nan', 'sensors.y1.noise: nan is not finite'),
     ('noise: 1e-3', 'noise: much', "sensors.y1.noise: unknown name 'much'"),
