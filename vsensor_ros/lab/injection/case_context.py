@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import math
+import signal
 import time
 from typing import Any
 
@@ -22,7 +23,7 @@ from vsensor_ros.lab.injection.verdict import (
     StatusHeard,
     switches_of,
 )
-from vsensor_ros.lab.process import Process
+from vsensor_ros.lab.process import PATIENCE, Process
 from vsensor_ros.simulate.fault import FAULTS
 
 REACTION = 0.15     # s from an isolation message on, in which the failed sensor may still be heard
@@ -114,6 +115,14 @@ class CaseContext:
     def play(self, seconds: float) -> None:
         """Let time pass."""
         self.machine.play(seconds)
+
+    def end(self, process: Process, number: int = signal.SIGTERM) -> str:
+        """Let time pass until a process has ended; return what was wrong with how it did."""
+        process.popen.send_signal(number)
+        end = time.monotonic() + PATIENCE
+        while process.alive and time.monotonic() < end:
+            self.play(0.02)
+        return process.trouble(number)
 
     def fault(self, kind: str, name: str = '', /, **size: float) -> None:
         """Let a sensor, by default the target, fail from now on."""

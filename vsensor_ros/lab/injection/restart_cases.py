@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 
 from vsensor_ros.lab.injection.case import (
     ALONE,
@@ -20,7 +19,6 @@ from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, GaveU
 from vsensor_ros.lab.injection.message_cases import TOLD
 from vsensor_ros.lab.injection.sensor_cases import start
 from vsensor_ros.lab.injection.verdict import path_of
-from vsensor_ros.lab.process import PATIENCE
 
 STILL = 6.0     # s in which a clock that stands still must have been told
 DOWN = 0.5      # s between the end of a replacer and the start of the next
@@ -38,11 +36,7 @@ def _restart(context: CaseContext, number: int) -> None:
     with context.excused():
         process, context.process = context.process, None    # its end is meant
         assert process is not None
-        process.popen.send_signal(number)
-        end = time.monotonic() + PATIENCE
-        while process.alive and time.monotonic() < end:
-            context.play(0.02)
-        if trouble := process.trouble(number):
+        if trouble := context.end(process, number):
             context.wrong.append(trouble)
         context.machine.latest = {}
         context.play(DOWN)
@@ -64,16 +58,13 @@ def two_replacers(context: CaseContext) -> None:
     """Start a second replacer on the same topics by mistake, and end it again."""
     output = context.tested.wiring.ports[context.target].output
     with context.excused(stamps=True), context.excused():
-        second = context.start()
-        try:
+        with context.start() as second:
             context.until(lambda: context.machine.node.count_publishers(output) > 1, STARTED,
-                        'a second publisher')
+                          'a second publisher')
             context.told('publishes there too', within=TOLD)
             context.play(0.5)
-        finally:
-            trouble = second.end()
-        if trouble:
-            context.wrong.append(f'the second one: {trouble}')
+            if trouble := context.end(second):
+                context.wrong.append(f'the second one: {trouble}')
         context.play(0.3)
     context.forget_path()
     fail_over(context, lambda: context.fault('freeze'))
