@@ -108,9 +108,9 @@ def _draw_pair(part: SubFigure, story: Balance, plant: Plant, alone: Watched, re
 def _strip(part: SubFigure, story: Balance, plant: Plant, run: Watched, title: str) -> None:
     """Draw a film strip: frames at times that tell the story."""
     wide = run.failed_sensor == story.travels
-    rows = _moments(story, run, 4 if wide else 8)
-    poses = run.truth[np.ix_(rows, [plant.sensors.index(story.travels),
-                                    plant.sensors.index(story.leans)])]
+    travels, leans = plant.sensors.index(story.travels), plant.sensors.index(story.leans)
+    rows = _moments(story, run, 4 if wide else 8, travels if wide else None)
+    poses = run.truth[np.ix_(rows, [travels, leans])]
     span = WIDE if wide else CLOSE
     centres = np.zeros(len(rows)) if wide else poses[:, 0]
     shape = (PIXELS, round(PIXELS * span / HEIGHT))
@@ -129,8 +129,12 @@ def _strip(part: SubFigure, story: Balance, plant: Plant, run: Watched, title: s
         place.set_xlabel(f'{run.time[row]:.1f} s', fontsize=9, color=RAW if faulty else 'black')
 
 
-def _moments(story: Balance, run: Watched, count: int) -> list[int]:
-    """Return the rows of a strip: one before the fault, the last at the fall or at the end."""
+def _moments(story: Balance, run: Watched, count: int, column: int | None) -> list[int]:
+    """
+    Return the rows of a strip: one before the fault, the last at the fall or at the end.
+
+    column: of what is to be seen where it is farthest off, if anything.
+    """
     first = story.step(story.failed_at)
     if run.fell_at is None:
         last, share = len(run.time) - 1, np.linspace(0.0, 1.0, count - 1) ** 1.6
@@ -138,11 +142,13 @@ def _moments(story: Balance, run: Watched, count: int) -> list[int]:
         last = min(len(run.time) - 1, story.step(run.fell_at + 0.35))
         share = np.linspace(0.0, 1.0, count - 1)
     rows = first + np.round(share * (last - first)).astype(int)
-    if run.fell_at is None and run.failed_sensor == story.travels:  # to be seen at either end
-        half = story.to_and_fro / 2.0
-        turns = np.round(run.time[rows[1:]] / half - 0.5) + 0.5
-        rows[1:] = np.minimum(np.round(turns * half / story.period).astype(int), last)
-    return [first - story.step(0.5), *(int(row) for row in rows)]
+    if run.fell_at is None and column is not None:
+        quarter = story.step(story.to_and_fro / 4.0)
+        for i, row in enumerate(rows[1:], 1):
+            begin = max(0, row - quarter)
+            near = np.abs(run.truth[begin:row + quarter, column])
+            rows[i] = begin + int(np.argmax(near))
+    return [max(0, first - story.step(0.5)), *(int(row) for row in rows)]
 
 
 def draw_pose(axes: Axes, position: float, angle: float, centre: float, span: float) -> None:
