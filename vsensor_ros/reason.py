@@ -71,8 +71,7 @@ SENTENCES: dict[str, Sentence] = {
     '{limit:.3g}',
     'beyond a tenth of the range': 'its standard deviation {deviation:.3g} is above a tenth of '
     'the range, {limit:.3g}',
-    'outgrown': 'its standard deviation {deviation:.3g} is above ten times that at its start, '
-    '{limit:.3g}',
+    'no limit': 'it would serve for a time only, and no limit says for how long',
     'worse than designed': 'it erred by {measured:.3g} beside the healthy sensor, more than '
     '{limit:.3g}: it was designed for {figure:.3g}',
     # of faulty sensors: why they are not believed

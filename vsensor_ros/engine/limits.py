@@ -20,8 +20,8 @@ class Limits:
 
     A number that is given for a sensor counts alone. Else a deviation may be at most the tolerance
     of the plant file, or a tenth of the sensor's range; and what was measured beside the healthy
-    sensor at most TIMES the design's figure. What is not known has no limit, but for temporary
-    virtual sensors: their deviation grows, so they have one in any case.
+    sensor at most TIMES the design's figure. What is not known is not limited. But a temporary
+    virtual sensor needs a limit, for its deviation grows.
     """
 
     design: Design
@@ -42,14 +42,15 @@ class Limits:
         if given is not None and not temporary:
             return None
         limit = self.design.tolerance(channel)
-        if limit is not None and deviation > limit and (temporary or math.isfinite(deviation)):
-            code = 'beyond the tolerance' if channel in self.design.tolerances else \
-                'beyond a tenth of the range'
-            return Reason.of(code, deviation=deviation, limit=limit)
-        figure = _figure(entry)
+        if limit is None:
+            if temporary:
+                return Reason('no limit')
+        elif deviation > limit and (temporary or math.isfinite(deviation)):
+            return Reason.of(
+                'beyond the tolerance' if channel in self.design.tolerances else
+                'beyond a tenth of the range', deviation=deviation, limit=limit)
         if temporary:
-            return Reason.of('outgrown', deviation=deviation, limit=TIMES * figure) \
-                if limit is None and not deviation <= TIMES * figure else None
+            return None
         return self._unlike(entry, channel, deviation, measured)
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
@@ -69,7 +70,3 @@ class Limits:
             return Reason.of('worse than designed', measured=found, limit=limit,
                              figure=entry.noise.error)
         return None
-
-
-def _figure(entry: Entry) -> float:
-    return math.inf if entry.noise is None else entry.noise.error

@@ -44,7 +44,7 @@ _RAISED = {
     'too uncertain': 'raise {}, if that will do',
     'beyond the tolerance': _GIVE,
     'beyond a tenth of the range': _GIVE,
-    'outgrown': _GIVE,
+    'no limit': 'give a tolerance or ranges in the plant file, or {}',
     'worse than designed': f'mend the model and its noise in the plant file; {_GIVE}'}
 _NEVER_HEARD = {'no reading yet', 'no command yet'}
 
