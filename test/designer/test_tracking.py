@@ -1,11 +1,14 @@
 """Virtual sensors that their channel tracks, and how they drift off: against simulated noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from vsensor_ros import design, Design, load_plant, Plant, Refusal
+from vsensor_ros import Design, design, load_plant, Plant, Refusal
 from vsensor_ros.designer.slow import unlearnt
 from vsensor_ros.observers import deviation_after, horizon
+from vsensor_ros.observers.kinds.functional.convergence import converge
 from vsensor_ros.observers.kinds.functional.discretise import phi_functions
 from vsensor_ros.observers.kinds.functional.tracking import tracker
 
@@ -173,6 +176,15 @@ def test_the_tracker_is_an_observer_of_more_sensors():
         tracker(t)
 
 
+def test_the_tracker_starts_where_the_first_reading_of_its_channel_says():
+    v = temporary(joint(), ('encoder',), 'encoder')
+    t = tracker(v)
+    assert t.z0 + t.z0_gain @ [0.3, 2.0] == pytest.approx([2.0], rel=1e-4)  # tacho, encoder
+    assert np.sqrt(t.start) == pytest.approx(0.0005, rel=1e-4)
+    # so it needs no time to forget where it might have been
+    assert converge(t).warm_up < 0.5 * converge(replace(t, start=v.start)).warm_up
+
+
 def test_the_tracker_takes_out_what_its_channel_reads_of_a_command():
     plant = Plant.from_matrices([[-1.0, 0], [1, 0]], [1, 0], np.eye(2), Cu=[[0.5], [0.25]])
     v = temporary(plant, ('y2',), 'y2')
@@ -180,7 +192,7 @@ def test_the_tracker_takes_out_what_its_channel_reads_of_a_command():
     C = plant.C[[plant.sensors.index(name) for name in t.healthy]]
     Cu = plant.Cu[[plant.sensors.index(name) for name in t.healthy]]
     assert t.Phi @ plant.A == pytest.approx(t.N @ t.Phi + t.J @ C, abs=1e-9)
-    assert t.B == pytest.approx(t.Phi @ plant.B - t.J @ Cu, abs=1e-9)
+    assert pytest.approx(t.Phi @ plant.B - t.J @ Cu, abs=1e-9) == t.B
 
 
 def test_the_horizon_is_where_the_deviation_meets_the_tolerance():
@@ -204,12 +216,12 @@ def test_static_ones_and_wanted_functionals_have_nothing_to_track():
 
 
 def test_terms_count_with_their_slope_where_the_plant_works():
-    """x' = -x + y, y' = sin(y), of which nothing but y is lost: A holds no slope of sin."""
+    """X' = -x + y, y' = sin(y), of which nothing but y is lost: A holds no slope of sin."""
     plant = Plant.from_matrices(
         [[-1, 1], [0, 0]], None, [0, 1], P=[0, 1], G=[[0, 1]], nonlinearities=['sin(w1)'],
         sensors=('y',), noise=[0.01], process_noise=[0.0, 0.1])
     v = temporary(plant, ('y',), 'y')
-    assert v.N == pytest.approx(np.zeros((1, 1))) and v.tracking.slopes == pytest.approx(1.0)
+    assert pytest.approx(np.zeros((1, 1))) == v.N and v.tracking.slopes == pytest.approx(1.0)
     assert deviation_after(v, 6.0) / deviation_after(v, 5.0) == pytest.approx(np.e, rel=1e-3)
 
 

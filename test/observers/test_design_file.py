@@ -42,7 +42,7 @@ NONE = Certificate('none', 0.0, np.inf, np.zeros((1, 1)), (), None, 'the slope h
 
 TRACKING = Tracking(('y3',), np.array([[3.0], [2.0]]), np.array([[1.0, 0.0]]),
                     np.array([[0.0, 1.0 / 3.0]]), np.array([[-0.5]]), np.eye(2) / 3,
-                    np.diag([0.0, 0.1]), 1e-9, True)
+                    np.diag([0.0, 0.1]), 1e-9, True, np.array([0.1 + 0.2]))
 
 
 def sensor(channel, fault_set, rows=1, order=1, **more):
@@ -327,8 +327,9 @@ BROKEN = {
     'tracking by nobody': (lambda r: last(r)['tracking'].update(channels=[]), 'channels'),
     'tracking of order 0': (
         lambda r: r['entries'].append({**last(r), 'fault_set': ['y1', 'y3'], 'healthy': ['y2'],
-                                       **dict.fromkeys(('Phi', 'N', 'J', 'B', 'P', 'z0', 'z0_gain',
-                                                        'eigenvalues'), []),
+                                       **{key: [] for key in (
+                                           'Phi', 'N', 'J', 'B', 'P', 'z0', 'z0_gain',
+                                           'eigenvalues')},
                                        'order': 0, 'terms': [], 'Cv': [[]], 'Q': [[1.0]]}),
         'of order 0 there is nothing to track'),
     'shape of L': (lambda r: last(r)['tracking'].update(L=[[1.0]]), 'tracking.L: is not 2 x 1'),
@@ -339,6 +340,8 @@ BROKEN = {
     'tracked covariance of one side': (
         lambda r: last(r)['tracking'].update(P=[[1.0, 0.5], [0.0, 1.0]]), 'P: is not symmetric'),
     'negative direct': (lambda r: last(r)['tracking'].update(direct=-1.0), 'tracking.direct'),
+    'negative noise of a reading': (
+        lambda r: last(r)['tracking'].update(noise=[-0.1]), 'tracking.noise: must not be neg'),
     'slopes of another order': (
         lambda r: last(r)['tracking'].update(slopes=[[1.0]]), 'slopes: is not 2 x 2'),
     'unknown key of tracking': (

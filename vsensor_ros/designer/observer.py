@@ -115,7 +115,8 @@ def build(problem: Problem, candidate: Candidate, method: str,
         z0=Phi @ plant.initial - z0_gain @ (C0 @ plant.initial), z0_gain=z0_gain,
         eigenvalues=eigenvalues[np.lexsort([eigenvalues.imag, eigenvalues.real])],
         noise_gain=np.inf if temporary else peak(N, J, Cv, Q, plant.sample_time)[0],
-        method=method, grade='temporary' if temporary else 'exact', Qu=problem.wanted[1] - Q @ Cu, Gu=tuple(-gy @ Cu for gy in Gy))
+        method=method, grade='temporary' if temporary else 'exact',
+        Qu=problem.wanted[1] - Q @ Cu, Gu=tuple(-gy @ Cu for gy in Gy))
     if max(equation_residuals(problem, sensor).values()) > EQUATION_TOLERANCE:
         return None
     passes = leaves_one_branch if temporary else partial(stable_with_terms, plant)

@@ -47,7 +47,7 @@ def tracked(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     L, P = solved
     return replace(sensor, tracking=Tracking(
         channels, L, C, Q, Qu, P, W, float(np.sum((sensor.Q[0] * reading)**2)),
-        bool(noise.assumed or np.isnan(given).any()),
+        bool(noise.assumed or np.isnan(given).any()), own,
         None if np.array_equal(N, sensor.N) else N))
 
 

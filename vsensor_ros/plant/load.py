@@ -2,11 +2,11 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states
-(unit, initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit), sensors
-(measures, unit, noise, tolerance), operating_point, and the right-hand side: dynamics, one equation
-a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
-states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
-that names the file, the place and the mend.
+(unit, initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit),
+sensors (measures, unit, noise, tolerance), operating_point, and the right-hand side: dynamics, one
+equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of
+which combinations of states). Every number may be an expression of the parameters. What is wrong
+gives one BadInput line that names the file, the place and the mend.
 """
 
 from __future__ import annotations

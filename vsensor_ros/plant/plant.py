@@ -174,7 +174,7 @@ class Plant:
         return total if rho is None else total + self.D @ _beside(rho, x)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return between what readings lie by the states' ranges, of each sensor that these tell."""
+        """Return between what readings lie by the states' ranges, of sensors that these tell."""
         ranges = {}
         for name, row, *direct in zip(self.sensors, self.C, self.Cu, self.Cd):
             of = np.flatnonzero(row)

@@ -148,7 +148,8 @@ def decay(entry: Entry) -> str:
     if not entry.order:
         return 'at once: it has no state'
     if entry.grade == 'temporary':
-        return ('none: an error that is there at the loss does not die out' if entry.decay > -NEARLY else
+        return ('none: an error that is there at the loss does not die out'
+                if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     return f'{number(entry.decay, "1/s")} (an error is down to 5 % in ' \
            f'{number(3.0 / entry.decay, "s")})'

@@ -42,7 +42,7 @@ def good_for(entry: VirtualSensor, allowed: list[float], unit: str) -> str:
 
 
 def learning(plant: Plant, entry: VirtualSensor, allowed: list[float], unit: str) -> str:
-    """Say what it is worth to learn the slow offsets while the channel is healthy; '' if little."""
+    """Say what it is worth to learn the slow offsets while the channel is healthy, or ''."""
     without = unlearnt(plant, entry)
     if without is None:
         return ''

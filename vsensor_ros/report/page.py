@@ -46,7 +46,8 @@ table.pairs { font-size: .75em; }
 table.pairs td { text-align: center; padding: .05rem .2rem; border: 1px solid #ddd; }
 table.pairs th { padding: .05rem .2rem; border: 0; font-weight: normal; }
 table.pairs tr:last-child th { writing-mode: vertical-rl; }
-.yes { background: #d9f0dc; } .temporary { background: #dfe9fb; } .bounded { background: #fdf0c8; } .no { background: #f8d7d3; }
+.yes { background: #d9f0dc; } .bounded { background: #fdf0c8; }
+.temporary { background: #dfe9fb; } .no { background: #f8d7d3; }
 .small, figcaption { color: #555; font-size: .88em; }
 tr.taken td { font-weight: bold; }
 .doubt { background: #fdf0c8; padding: .2rem .5rem; }
@@ -57,7 +58,8 @@ svg { max-width: 100%; height: auto; }
 code { font-family: 'DejaVu Sans Mono', monospace; font-size: .92em; }
 a { color: #1f5fbf; text-decoration: none; }
 @media print { body { max-width: none; margin: 0; font-size: 10pt; }
-  .yes, .bounded, .temporary, .no { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
+  .yes, .bounded, .temporary, .no {
+    print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
 
@@ -307,8 +309,8 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
     ]
     text = _facts(facts)
     if temporary:
-        text += '<p class=small>Its deviation, one standard deviation, from the last good reading ' \
-                'on:</p>' + _table([tuple(map(escape, row)) for row in
+        text += '<p class=small>One standard deviation of it after the last good reading:</p>' \
+            + _table([tuple(map(escape, row)) for row in
                                     for_a_time.growth(entry, unit)], ('after', ''), (0, 1))
     if entry.ladder:
         text += '<p class=small>The ladder of orders:</p>' + _table(

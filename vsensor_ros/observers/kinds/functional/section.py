@@ -111,8 +111,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         reader.array('Cv', p, k), reader.array('Q', p, l0), tuple(Gz), tuple(Gy), tuple(terms),
         plant.sample_time, reader.array('z0', k), reader.array('z0_gain', k, l0),
         stored[:, 0] + 1j * stored[:, 1], reader.size('noise_gain', infinite=temporary),
-        reader.text('method'), reader.array('Qu', p, m), tuple(Gu), grade, reader.size('disturbance_gain'),
-        read_proof(reader.optional('proof'), k, grade),
+        reader.text('method'), reader.array('Qu', p, m), tuple(Gu), grade,
+        reader.size('disturbance_gain'), read_proof(reader.optional('proof'), k, grade),
         tuple(read_rung(item) for item in reader.objects('ladder')),
         read_noise(reader.optional('noise')), start=_read_start(reader, k),
         tracking=read_tracking(reader, fault_set, channel, N, l0, m, plant.sample_time))

@@ -27,11 +27,12 @@ def tracker(v: VirtualSensor) -> VirtualSensor:
     Return the observer that v is while its channels are believed: it reads them, too.
 
     Its fault set is what of that of v does not track; its `healthy` are those of v, then the
-    channels. Raises ValueError where v has no tracking.
+    channels. It starts where their first readings say. Raises ValueError where v has no tracking.
     """
     t = _tracking(v)
     N = v.N - t.L @ t.C
     error = float(deviation_after(v, 0.0))
+    K, start = _first_correction(v, t)
 
     def widened(gain: np.ndarray) -> np.ndarray:
         return np.hstack([gain, np.zeros((len(gain), len(t.channels)))])
@@ -40,10 +41,24 @@ def tracker(v: VirtualSensor) -> VirtualSensor:
         v, fault_set=tuple(name for name in v.fault_set if name not in t.channels),
         healthy=(*v.healthy, *t.channels), N=N, J=np.hstack([v.J - t.L @ t.Q, t.L]),
         B=v.B - t.L @ t.Qu, Q=widened(v.Q), Gy=tuple(widened(g) for g in v.Gy),
-        z0_gain=widened(v.z0_gain), eigenvalues=np.linalg.eigvals(N).astype(complex),
+        z0=v.z0 - K @ t.C @ v.z0, z0_gain=np.hstack([v.z0_gain - K @ (t.C @ v.z0_gain + t.Q), K]),
+        start=start, eigenvalues=np.linalg.eigvals(N).astype(complex),
         grade='exact' if v.grade == 'temporary' else v.grade,
         noise=Noise(error, error, t.assumed), proof=None, ladder=(), certificate=None,
         tracking=None)
+
+
+def _first_correction(v: VirtualSensor, t: Tracking) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the gain (k, f) of the channels' first readings, and the start's covariance then."""
+    K = np.zeros_like(t.L)
+    if v.start is None or t.noise is None:
+        return K, v.start
+    plain = ~t.Qu.any(axis=1)  # at the start no command is looked at
+    C, R = t.C[plain], np.diag(t.noise[plain]**2)
+    K[:, plain] = v.start @ C.T @ np.linalg.pinv(C @ v.start @ C.T + R, hermitian=True)
+    left = np.eye(v.order) - K @ t.C
+    start = left @ v.start @ left.T + (K * t.noise**2) @ K.T
+    return K, (start + start.T) / 2
 
 
 def deviation_after(v: VirtualSensor, times: ArrayLike) -> np.ndarray:
@@ -98,7 +113,7 @@ def _tracking(v: VirtualSensor) -> Tracking:
 
 
 def _octaves(v: VirtualSensor, count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield for 1, 2, 4, .. units of time ``E = exp(N t)`` and ``V = int exp(N s) W exp(N' s)``."""
+    """Yield for t = 1, 2, 4, .. units ``E = exp(N t)`` and ``V = int exp(N s) W exp(N' s)``."""
     t, k = _tracking(v), v.order
     N = v.N if t.slopes is None else t.slopes
     E, V = N, t.W

@@ -20,6 +20,7 @@ def tracking_record(t: Tracking) -> dict[str, Any]:
         **{key: getattr(t, key).tolist() for key in _ARRAYS},
         'direct': t.direct,
         'assumed': t.assumed,
+        'noise': None if t.noise is None else t.noise.tolist(),
         'slopes': None if t.slopes is None else t.slopes.tolist(),
     }
 
@@ -30,7 +31,7 @@ def read_tracking(v: CheckedObject, fault_set: tuple[str, ...], channel: str, N:
     if 'tracking' not in v.record:
         return None
     reader = v.object('tracking')
-    reader.only(('channels', *_ARRAYS, 'direct', 'assumed', 'slopes'))
+    reader.only(('channels', *_ARRAYS, 'direct', 'assumed', 'noise', 'slopes'))
     channels = reader.names('channels')
     if not channels or not set(channels) <= set(fault_set):
         raise reader.fail('channels', 'are not some of the fault set')
@@ -41,10 +42,13 @@ def read_tracking(v: CheckedObject, fault_set: tuple[str, ...], channel: str, N:
         raise v.fail('tracking', 'stands there, but of order 0 there is nothing to track')
     L, C = reader.array('L', k, f), reader.array('C', f, k)
     slopes = None if reader.record.get('slopes', 0) is None else reader.array('slopes', k, k)
+    noise = None if reader.record.get('noise', 0) is None else reader.array('noise', f)
+    if noise is not None and (noise < 0.0).any():
+        raise reader.fail('noise', 'must not be negative')
     modes = np.linalg.eigvals((N if slopes is None else slopes) - L @ C).astype(complex)
     if not is_stable(modes, sample_time):
         raise reader.fail('L', 'leaves N - L C unstable (eigenvalue '
                           f'{worst_of(modes, sample_time):.6g})')
     return Tracking(channels, L, C, reader.array('Q', f, l0), reader.array('Qu', f, m),
                     read_covariance(reader, 'P', k), read_covariance(reader, 'W', k),
-                    reader.size('direct'), reader.flag('assumed'), slopes)
+                    reader.size('direct'), reader.flag('assumed'), noise, slopes)

@@ -2,7 +2,8 @@
 The data of the kind functional: an observer of linear functionals of the plant's state.
 
 Letters are those of the method: order k, p rows of the wanted functional (one for a sensor's
-channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments, f channels that track.
+channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments, f channels that
+track.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Tracking:
     W: np.ndarray  # (k, k) growth of that of e per s (discrete: per step) without them
     direct: float  # variance of vhat by the noise of y0 through its Q, unit of the channel squared
     assumed: bool = False  # some of the noise that this is made of was not given
+    noise: np.ndarray | None = None  # (f,) standard deviation of one reading; None: not known
     # (k, k) N with the terms' slopes at the operating point, by which P moves; None: it is N
     slopes: np.ndarray | None = None
 
