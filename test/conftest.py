@@ -77,7 +77,7 @@ def encoder(grade='temporary', rate=50.0, gain=1.0, **more):
     W = TACHO**2 / rate + JERK**2 / rate**2 / 12
     P = np.sqrt(W * ENCODER**2 / rate)
     one, none = np.eye(1), np.zeros((1, 0))
-    tracking = Tracking(('angle',), np.array([[np.sqrt(W * rate) / ENCODER]]), one, 0.0 * one, none,
+    tracking = Tracking(('angle',), np.sqrt(W * rate) / ENCODER * one, one, 0.0 * one, none,
                         P * one, W * one, 0.0)
     return virtual_sensor([[0.0]], [[gain]], fault_set=('angle',), healthy=('tacho',),
                           channel='angle', grade=grade, tracking=tracking, start=one, **more)
@@ -209,8 +209,8 @@ def run(bank, key, rate, readings, commands):
 @pytest.fixture(scope='session')
 def bench():
     return SimpleNamespace(
-        virtual_sensor=virtual_sensor, design=design, encoder=encoder, joint=joint, servo=servo, tank=tank,
-        tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
+        virtual_sensor=virtual_sensor, design=design, encoder=encoder, joint=joint, servo=servo,
+        tank=tank, tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
         Refusal=Refusal, SECOND=SECOND)
 
 

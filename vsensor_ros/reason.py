@@ -65,8 +65,7 @@ SENTENCES: dict[str, Sentence] = {
     'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
     'are kept',
     'track lost': 'readings that it needs were missing since its channel was lost',
-    'served its time': 'served its time: its standard deviation passed {limit:.3g} after '
-    '{seconds:.1f} s; it serves again when the sensor is believed again',
+    'served its time': 'served its time, until its channel is believed again: {why}',
     'beyond the tolerance': 'its standard deviation {deviation:.3g} is above the tolerance '
     '{limit:.3g}',
     'beyond a tenth of the range': 'its standard deviation {deviation:.3g} is above a tenth of '

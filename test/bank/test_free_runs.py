@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsensor_ros.bank import Bank, composite
-from vsensor_ros.observers import Noise
+from vsensor_ros.observers import Noise, Told
 
 MS = 1_000_000
 RATE, PERIOD = 50, 20
@@ -49,9 +49,9 @@ class Run:
 
 
 def test_from_the_first_seconds_on_and_as_sure_as_it_says(bench, made):
-    """Lost 1.5 s after the start: the error has the deviation that is stated, and grows with it."""
+    """Lost 1.5 s after the start: the error is as large as is stated, and grows as stated."""
     errors, stated = [], []
-    for seed in range(30):
+    for seed in range(16):
         run = Run(bench, made, 6.0, seed).until(1500)
         assert run.bank.ready(*KEY)
         before = run.deviation
@@ -76,7 +76,7 @@ def test_what_a_fault_does_within_the_guard_never_serves(bench, made):
     sound = Run(bench, made, 5.0).until(isolated)
     sound.bank.distrust({'angle'})
     sound.until(4500)
-    for before in range(0, 1300, 20):
+    for before in (0, 20, 100, 240, 480, 500, 520, 700, 1000, 1300):
         run = Run(bench, made, 5.0)
         faulty = (isolated - before) // PERIOD
         run.until(isolated, lambda k, run=run, faulty=faulty: run.y[k, 0] + 5.0 * (k >= faulty))
@@ -87,12 +87,12 @@ def test_what_a_fault_does_within_the_guard_never_serves(bench, made):
         assert clean[before] == (run.bank.estimate(*KEY) == sound.bank.estimate(*KEY))
         # the offset of the switch has nothing of the fault, either
         assert not clean[before] or abs(run.bank.disagreement(*KEY)) < 10 * sound.deviation
-    assert [b for b, good in clean.items() if good] == list(range(0, 501, 20))
+    assert [b for b, good in clean.items() if good] == [0, 20, 100, 240, 480, 500]
 
 
 @pytest.mark.parametrize(('guard', 'last'), [(0.0, 0), (0.2, 200), (1.0, 1000)])
 def test_the_guard_is_a_parameter_and_what_it_needs_is_kept(bench, made, guard, last):
-    for before, good in ((last, True), (last + 40, False)):
+    for before, good in ((last, True), (last + 20, False)):
         run = Run(bench, made, 5.0, guard={'angle': guard})
         faulty = (4000 - before) // PERIOD
         run.until(4000, lambda k, run=run, faulty=faulty: run.y[k, 0] + 5.0 * (k >= faulty))
@@ -247,11 +247,11 @@ def test_neither_a_fault_before_its_isolation_nor_a_spike_enters_what_was_rehear
 
 
 def test_the_surer_of_two_runs_serves_and_not_by_turns(bench):
-    """An independent run that is stated to be good to 0.002 takes over when the free one is not."""
+    """An independent run that is good to 0.002 takes over when the free one no longer is."""
     slow = bench.encoder(grade='exact', noise=Noise(0.002, 0.002, False))
     slow = replace(slow, N=np.array([[-2.0]]), J=np.array([[0.0]]), B=np.array([[2.0]]),
                    inputs=('u',), Qu=np.zeros((1, 1)), Gu=(), eigenvalues=np.array([-2.0 + 0j]),
-                   tracking=replace(slow.tracking, Qu=np.zeros((1, 1)), W=np.array([[4e-6]])))
+                   tracking=replace(slow.tracking, Qu=np.zeros((1, 1)), W=np.array([[4e-5]])))
     made = bench.design(slow, names=NAMES, inputs=('u',))
     bank, runs, values = Bank(made, RATE), [], []
     for k in range(600):
@@ -275,30 +275,26 @@ def test_each_kind_has_its_own(bench, made):
     """Batches of several kinds, one below the other, say what they say alone."""
     lag = bench.design(bench.virtual_sensor([[-2.0]], [[2.0]], fault_set=('tacho',),
                                             healthy=('angle',)), names=NAMES)
-    both = bench.design(bench.encoder(), bench.encoder(grade='exact', channel='v'),
-                        names=NAMES, wanted=('v',))
-    parts = [composite.batch_of(d, 1 / RATE, None) for d in (both, lag, made)]
+    exact = bench.design(bench.encoder(grade='exact'), names=NAMES)
+    parts = [composite.batch_of(d, 1 / RATE, None) for d in (exact, lag, made)]
     composed = composite._composed(parts, 2, 0)
+    assert composed.size == 3 and len(composed.runs_on) == 6 and len(composed.tracked) == 2
     rng = np.random.default_rng(0)
-    told = parts[0].__class__  # noqa: F841
     z = rng.standard_normal((len(composed.runs_on), composed.width))
-    from vsensor_ros.observers import Told
     before, after = (Told(rng.standard_normal(2), np.ones(2, dtype=bool), np.zeros(0))
                      for _ in range(2))
     stepped, _ = composed.step(z, before, after, np.zeros((3, 0)))
-    assert composed.size == 4 and len(composed.tracked) == 3
-    for i, t in enumerate(composed.tracked):
-        part, own = parts[composed.tracks[i][0]], parts[composed.tracks[i][0]].tracked[
-            composed.tracks[i][1]]
+    for i, here in enumerate(composed.tracked):
+        part, own = parts[composed.tracks[i][0]], composed.tracks[i][1]
+        there = part.tracked[own]
         alone = np.zeros((len(part.runs_on), part.width))
-        for there, here in ((t.own, own.own), (t.tracker, own.tracker), (t.free, own.free)):
-            alone[here] = z[there, :part.width]
+        rows = [(here[n], there[n]) for n in range(3)]  # own, tracker, free
+        for row, of_part in rows:
+            alone[of_part] = z[row]
         alone, _ = part.step(alone, before, after, np.zeros((3, 0)))
-        for there, here in ((t.own, own.own), (t.tracker, own.tracker), (t.free, own.free)):
-            assert (stepped[there, :part.width] == alone[here]).all()
-        assert t.temporary == own.temporary
-        assert (composed.drift(i, np.array([1.0])) == part.drift(
-            composed.tracks[i][1], np.array([1.0]))).all()
+        assert all((stepped[row] == alone[of_part]).all() for row, of_part in rows)
+        assert here.temporary == there.temporary == (part is parts[2])
+        assert (composed.drift(i, np.ones(1)) == part.drift(own, np.ones(1))).all()
 
 
 def test_nothing_grows_without_end(bench, made):

@@ -3,5 +3,6 @@
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.record import Rehearsal
+from vsensor_ros.bank.steps import GUARD, LONGEST_GUARD
 
-__all__ = ['Bank', 'End', 'Rehearsal']
+__all__ = ['GUARD', 'LONGEST_GUARD', 'Bank', 'End', 'Rehearsal']

@@ -128,9 +128,12 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None:
             return math.inf
-        i = self._tracked.get(output)
-        followed = math.inf if i is None else self._batch.tracked[i].warm_up + self._guard[i]
-        return min(float(self._batch.warm_up[output]), followed)
+        alone, i = float(self._batch.warm_up[output]), self._tracked.get(output)
+        if i is None:
+            return alone
+        tracked = self._batch.tracked[i]
+        followed = tracked.warm_up + self._guard[i]
+        return followed if tracked.temporary else min(alone, followed)
 
     def remaining(self, fault_set: Iterable[str], channel: str, limit: float) -> float:
         """Return how long [s] it is until its deviation passes a limit; inf: it does not grow."""
@@ -213,7 +216,8 @@ class Bank(Steps):
         if output is None:
             return None
         state = self._past[-1]
-        return self._batch.interval(output, self._runs.serving(state.z), state.told, self._age(output))
+        return self._batch.interval(output, self._runs.serving(state.z), state.told,
+                                    self._age(output))
 
     def residual(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -411,9 +415,9 @@ class Bank(Steps):
             if own == free or self._runs.seed(i) is None:
                 continue
             alone = math.inf
+            age = float(state.tick - state.since[own]) * self.period * 1e-9
             if state.running[own] and not self._batch.waiting(
-                    output, state.z[:self._batch.size], 
-                    float(state.tick - state.since[own]) * self.period * 1e-9):
+                    output, state.z[:self._batch.size], age):
                 alone = self._deviation_of(output, own, state, unseen)
             freely = self._deviation_of(output, free, state, unseen) \
                 if state.running[free] else math.inf

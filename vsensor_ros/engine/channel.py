@@ -31,6 +31,7 @@ class Channel:
     blend: Bumpless  # what is left of the offset of the last switch
     source: str = REAL  # of what went out last: real, virtual or none
     fault_set: tuple[str, ...] = ()  # of the virtual sensor, if that is the source
+    run: str = ''  # of it
     since: int | None = None  # the last switch
     virtual: int = 0  # in all in virtual mode, up to the last switch
     switches: int = 0
@@ -56,24 +57,29 @@ class Channel:
         return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
-              above: float | None = None, deviation: float = 0.0) -> float:
+              above: float | None = None, deviation: float = 0.0, run: str = '') -> float:
         """
         Return what is to go out for the value of a source, which may be another one than before.
+
+        run: which of the runs of a virtual sensor says it. There is no step when that changes, but
+        it is no switch.
 
         above: by how much the old source lies above the new one, NaN if that is not known; None:
         by what went out last. There is no offset to what was no value, or is too long ago. From
         one virtual sensor to a surer one it is at most the deviation of that: the error of the
         old one is not to burden it.
         """
-        if (source, fault_set) != (self.source, self.fault_set):
+        turned = (source, fault_set) != (self.source, self.fault_set)
+        if turned or run != self.run:
             before = offset = math.nan
             if self.source != NONE and self.sent is not None and now - self.sent <= self.max_age:
                 before = self.value
                 offset = before - value if above is None else above + self.blend.left(now)
-                if self.source == source == VIRTUAL and deviation < self.deviation:
+                if turned and self.source == source == VIRTUAL and deviation < self.deviation:
                     offset = max(-deviation, min(offset, deviation))
-            self._turn(source, fault_set, now)
-            self.blend = self.blend.begin(now, offset, before)
+            if turned:
+                self._turn(source, fault_set, now)
+            self.blend, self.run = self.blend.begin(now, offset, before), run
         self.value, self.sent, self.deviation = self.blend.add(value, now), now, deviation
         self.blend = self.blend.sent(self.value)
         return self.value

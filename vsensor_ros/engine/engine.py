@@ -53,7 +53,7 @@ class Engine:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
         self._design = setup.design
         self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead,
-                          setup.command_ends)
+                          setup.command_ends, setup.guard)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
@@ -281,7 +281,7 @@ class Engine:
         for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
-                self._bank.distrust(self._believed, self._ticks.time)
+                self._bank.distrust(self._believed, self._ticks.time, self._onsets())
             self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break
@@ -293,6 +293,11 @@ class Engine:
         spoken = [stream for stream in self._streams if not changed.isdisjoint(stream.names)]
         at = self._ticks.time
         return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
+
+    def _onsets(self) -> dict[str, int]:
+        """Return since when, on the clock, isolation says that sensors are faulty."""
+        now, lasting = self._clock.now, self._clock.lasting()
+        return {s: now - (lasting - since) for s, since in self._isolated.items()}
 
     def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
         """Return what stands in for failed channels; a mistake in one stream ends no other."""
@@ -455,7 +460,8 @@ class Engine:
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
             stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason),
-            self._bank.deviation(key, name), self._bank.measured(key, name))
+            self._bank.deviation(key, name), self._bank.measured(key, name),
+            self._stand_in.remaining(key, name) if source in (REAL, VIRTUAL) else math.inf)
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:

@@ -11,6 +11,8 @@ from vsensor_ros.reason import Reason
 
 SHARE = 0.01  # of the range: a model that is so near is good, whatever was designed for
 TIMES = 10.0  # the figure that it was designed for
+# codes of the reasons why a deviation is too large
+BEYOND = {'too uncertain', 'beyond the tolerance', 'beyond a tenth of the range', 'outgrown'}
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,16 @@ class Limits:
         if temporary:
             return None
         return self._unlike(entry, channel, deviation, measured)
+
+    def largest(self, entry: Entry, channel: str) -> float:
+        """Return the largest deviation of an estimate that is good enough, inf: there is none."""
+        given = self.given[channel]
+        if given or (given is not None and entry.grade != 'temporary'):
+            return given or math.inf
+        limit = self.design.tolerance(channel)
+        if limit is None and entry.grade == 'temporary':
+            return TIMES * _figure(entry)
+        return math.inf if limit is None else limit
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
                 measured: Callable[[], float]) -> Reason | None:

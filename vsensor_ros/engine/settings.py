@@ -43,3 +43,5 @@ class Setup:
     simulated: bool  # the clock is a simulation's: it stands still between two looks
     live: Live
     command_ends: Mapping[str, End] = field(default_factory=dict)  # of those that may end
+    # s before the loss of a sensor in which it is not believed afterwards; default: the bank's
+    guard: Mapping[str, float] = field(default_factory=dict)

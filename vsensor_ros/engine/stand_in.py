@@ -62,6 +62,13 @@ class StandIn:
         reason = self._bank.why_not(fault_set, name)
         return self._exceeded(fault_set, name) if reason is None else self._told_apart(reason)
 
+    def remaining(self, fault_set: tuple[str, ...], name: str) -> float:
+        """Return how long [s] a virtual sensor is good enough yet; inf: its end is not to come."""
+        entry = self._bank.entry(fault_set, name)
+        if entry is None or isinstance(entry, Refusal):
+            return math.inf
+        return self._bank.remaining(fault_set, name, self._limits.largest(entry, name))
+
     def _exceeded(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
         """Return why an estimate is not good enough, or None when it is."""
         entry = self._bank.entry(fault_set, name)
@@ -146,7 +153,7 @@ class StandIn:
         entry = self._bank.entry(fault_set, channel.name)
         assert entry is not None and not isinstance(entry, Refusal)  # for it has an estimate
         return Wanted(value, fault_set, deviation, self._bank.interval(fault_set, channel.name),
-                      entry.grade, above)
+                      entry.grade, above, self._bank.run(fault_set, channel.name))
 
     def _without_estimate(self, channel: Channel, decision: Decision) -> str:
         """Note that nobody serves a channel, and why; return what goes out instead."""

@@ -416,7 +416,7 @@ class Stream:
             value = math.nan if wanted.value is None else wanted.value
             if wanted.fault_set is not None:
                 value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
-                                      wanted.deviation)
+                                      wanted.deviation, wanted.run)
             offset = channel.blend.left(lasting) if wanted.fault_set is not None else 0.0
             return Substitute(value, wanted.fault_set, wanted.deviation, wanted.interval,
                               wanted.grade, offset)

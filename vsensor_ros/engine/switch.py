@@ -14,6 +14,7 @@ from enum import Enum
 import math
 
 from vsensor_ros.engine.choice import Candidates, Choice, FaultSet
+from vsensor_ros.engine.limits import BEYOND
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
@@ -356,8 +357,11 @@ class Switch:
         if (again := lost.get(fault_set)) is not None:
             return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
                              dwell=self.policies[name].dwell)
-        if why is None and fault_set in lost and (fault_set, name) in self.choice.temporary:
-            return Reason('had its time')
+        if fault_set in lost and (fault_set, name) in self.choice.temporary:
+            if why is None:
+                return Reason('had its time')
+            if why.code in BEYOND:
+                return Reason.of('served its time', why=why)
         return why or Reason.of('less sure', fault_set=fault_set,
                                 deviation=asked.deviation(fault_set, name))
 

@@ -10,6 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
 from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.bank import GUARD, LONGEST_GUARD
 from vsensor_ros.observers import Design
 
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
@@ -200,6 +201,9 @@ def named(design: Design) -> dict[str, Known]:
             continue
         known[f'sensors.{name}.input'] = Known(
             str, '', f'topic on which the driver of {name} publishes; default: the topic + _raw')
+        known[f'sensors.{name}.guard'] = Known(
+            float, GUARD, f'time before the loss of {name} in which it may have been faulty already: '
+            'its last good readings are from before that', 's', 0.0, LONGEST_GUARD)
         for key, general in OVERRIDES.items():
             known[f'sensors.{name}.{key}'] = _override(name, general)
     return known

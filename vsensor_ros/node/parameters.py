@@ -62,6 +62,7 @@ class Settings:
     commands: tuple[Command, ...]
     live: Live
     command_ends: Mapping[str, End]  # of those that do not hold for ever
+    guard: Mapping[str, float]  # s, by sensor
     for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
@@ -113,7 +114,8 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
-        endpoints.commands, _live(design, values), _command_ends(design, values), tuple(others))
+        endpoints.commands, _live(design, values), _command_ends(design, values),
+        {s: values[f'sensors.{s}.guard'] for s in design.sensors}, tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:

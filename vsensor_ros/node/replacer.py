@@ -118,7 +118,7 @@ class Replacer:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
                 tuple(topic.plan for topic in topics), self.simulated, settings.live,
-                settings.command_ends))
+                settings.command_ends, settings.guard))
         except BadInput as error:
             raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
                                     error.problem, error.mend)]) from None
