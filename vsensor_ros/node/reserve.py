@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+import math
 
 from rclpy.node import Node
 
+from vsensor_ros.engine import ChannelState
 from vsensor_ros.node.graph import meant, published_like
 from vsensor_ros.node.parameters import Settings
 from vsensor_ros.reason import Reason
@@ -79,6 +81,19 @@ def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -
         elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
             parts.append(_mend(origin, reason.code in _NEVER_HEARD))
     return list(dict.fromkeys(parts))
+
+
+def worth(channel: ChannelState) -> str:
+    """Say what a reserve would be good for now, or that it could not serve."""
+    name, unit = channel.name, channel.unit
+    if channel.reserve is not None:
+        return f'{name} {without_reserve(name, channel.reserve, {})[0]}'
+    text = f'{name} could be replaced now'
+    if math.isfinite(channel.reserve_deviation):
+        text += f', to {channel.reserve_deviation:.2g} {unit}'.rstrip()
+    if math.isfinite(channel.remaining_s):
+        text += f', for {channel.remaining_s:.2g} s'
+    return text if channel.rehearsed is not None else f'{text} (not compared with it yet)'
 
 
 def _mend(origin: Origin, never_heard: bool) -> str:
