@@ -336,7 +336,8 @@ class Bank(Steps):
         age = float(state.tick - state.since[row]) * self.period * 1e-9
         i, wider = self._tracked.get(output), self._widening(output)
         if i is not None and row == self._batch.tracked[i].free:
-            found = math.hypot(unseen[output], wider * float(self._measured.growth.stated(i, age)))
+            found = math.hypot(unseen[output], wider * max(
+                float(self._measured.growth.stated(i, age)), self._spreads.deviation(i, state)))
         else:
             found = math.hypot(
                 wider * self._measured.base[output], unseen[output], self._batch.deviation(
@@ -418,7 +419,9 @@ class Bank(Steps):
             age = float(state.tick - state.since[own]) * self.period * 1e-9
             if state.running[own] and not self._batch.waiting(
                     output, state.z[:self._batch.size], age):
-                alone = self._deviation_of(output, own, state, unseen)
+                # it knows no more of where it is than the free run, that its terms bend as much
+                alone = max(self._deviation_of(output, own, state, unseen),
+                            self._spreads.deviation(i, state))
             freely = self._deviation_of(output, free, state, unseen) \
                 if state.running[free] else math.inf
             if self._runs.choose(i, alone, freely):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsensor_ros.recordings.recording import Track
-from vsensor_ros.recordings.replay import Said
+from vsensor_ros.recordings.through_engine import Said
 
 
 @dataclass(frozen=True)
