@@ -339,8 +339,8 @@ class Bank(Steps):
             # what the model errs more now reaches it in time as much as the independent run
             more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
                 math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen[output], more, wider * float(
-                self._measured.growth.stated(i, age)))
+            found = math.hypot(unseen[output], more, wider * max(
+                float(self._measured.growth.stated(i, age)), self._spreads.deviation(i, state)))
         else:
             found = math.hypot(
                 wider * self._measured.base[output], unseen[output], self._batch.deviation(
@@ -425,7 +425,9 @@ class Bank(Steps):
             age = float(state.tick - state.since[own]) * self.period * 1e-9
             if state.running[own] and not self._batch.waiting(
                     output, state.z[:self._batch.size], age):
-                alone = self._deviation_of(output, own, state, unseen)
+                # it knows no more of where it is than the free run, that its terms bend as much
+                alone = max(self._deviation_of(output, own, state, unseen),
+                            self._spreads.deviation(i, state))
             freely = self._deviation_of(output, free, state, unseen) \
                 if state.running[free] else math.inf
             if self._runs.choose(i, alone, freely):

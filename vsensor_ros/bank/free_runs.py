@@ -134,7 +134,7 @@ class FreeRuns:
         better = 1.0 if i in self._fresh else _BETTER
         self._fresh.discard(i)
         if self.rows[own] == own:
-            new = row if free < better * alone else own
+            new = row if free <= better * alone else own
         else:
             new = own if alone < better * free else row
         if new == self.rows[own]:
