@@ -9,8 +9,8 @@ Two links that hang, with a motor in each joint; angles from hanging, the second
     m11 vel1' + m12 vel2' = torque1 + ..,  m11 = a1 + 2 a3 cos pos2,  m12 = a2 + a3 cos pos2
     m12 vel1' + m22 vel2' = k2 torque2 + ..,  m22 = a2 + a4 (the second motor's rotor)
 
-Both ways of simulation count: both joints for 0.6 s by their torques, and the elbow for 1.2 s along
-the shoulder's measured motion (its momentum m12 vel1 + m22 vel2 does not feel the shoulder's
+Both ways of simulation count: both joints for 0.6 s by their torques, and the elbow for 1.2 s
+along the shoulder's measured motion (its momentum m12 vel1 + m22 vel2 does not feel the shoulder's
 torque). Each joint's friction is d v + f tanh(v/vs); z1 and z2 are the encoders' zeros.
 
 Process noise is not fitted: the acceleration of the elbow is taken to be off by white noise of
