@@ -1,4 +1,4 @@
-"""Recordings of real machines, played through the engine, in part: benchmark.recordings has all."""
+"""Recordings of real machines, played through the engine; benchmark.recordings has all."""
 
 import os
 from pathlib import Path
