@@ -12,8 +12,8 @@ that differs by direction. Without it a second of simulation from the true state
 it by a third of that.
 
 Friction is fitted so that a second and a half of simulation ends where the carriage did. Process
-noise is chosen where friction was not fitted: friction of the first quarter, the likelihood of what
-a tracked start errs by in the second. Then friction is fitted to the whole first half. The second
+noise is chosen where friction was not fitted: friction of the first quarter, the likelihood of
+what a tracked start errs by in the second. Then friction is fitted to the whole first half. The second
 half is only scored. The recording's reference is never used: it tells the position.
 """
 

@@ -28,10 +28,10 @@ def driven(seed, seconds=60.0):
         speed, rate = p['radius'] / 2 * (left + right), p['radius'] / p['track'] * (right - left)
         middle = heading + rate * h / 2
         slip = q * rng.standard_normal(6)
-        x = slip + [x[0] + h * speed * np.cos(middle), x[1] + h * speed * np.sin(middle),
+        x = slip + np.array([x[0] + h * speed * np.cos(middle), x[1] + h * speed * np.sin(middle),
                     heading + h * rate, bias,
                     left_set[k] + (left - left_set[k]) * np.exp(-h / p['lag']),
-                    right_set[k] + (right - right_set[k]) * np.exp(-h / p['lag'])]
+                    right_set[k] + (right - right_set[k]) * np.exp(-h / p['lag'])])
     rate = p['radius'] / p['track'] * (truth[:, 5] - truth[:, 4])
     clean = [truth[:, 0], truth[:, 1], truth[:, 2], rate + truth[:, 3], truth[:, 4], truth[:, 5]]
     plant = load_plant(PLANT)

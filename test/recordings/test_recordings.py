@@ -1,4 +1,4 @@
-"""Recordings of real machines, played through the engine; the whole figures: benchmark.recordings."""
+"""Recordings of real machines, played through the engine; benchmark.recordings has all."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmark import recordings
-from vsensor_ros.recordings import Loss, Recording, replay, settings, Track, verdict
+from vsensor_ros.recordings import Loss, Recording, replay, Track, verdict
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get('VSENSOR_DATA') or 'nowhere')
@@ -38,7 +38,9 @@ def test_losses_do_not_disturb_each_other(drive):
 
 
 def test_events_come_in_order_each_stamp_once():
-    recording = Recording({'a': Track.of([0.0, 0.2], [1.0, 2.0]), 'b': Track.of([0.1, 0.2], [3, 4])})
-    assert [said for _, said in recording.events()] == [{'a': 1.0}, {'b': 3.0}, {'a': 2.0, 'b': 4.0}]
+    recording = Recording({'a': Track.of([0.0, 0.2], [1.0, 2.0]),
+                           'b': Track.of([0.1, 0.2], [3.0, 4.0])})
+    assert [said for _, said in recording.events()] == [
+        {'a': 1.0}, {'b': 3.0}, {'a': 2.0, 'b': 4.0}]
     with pytest.raises(ValueError, match='increase'):
         Track.of([0.0, 0.0], [1.0, 2.0])

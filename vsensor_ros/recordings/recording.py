@@ -47,7 +47,7 @@ class Recording:
         values = np.concatenate([self.tracks[name].values for name in names])
         owner = np.repeat(np.arange(len(names)), [len(self.tracks[n].stamps) for n in names])
         order = np.argsort(stamps, kind='stable')
-        now, said = None, {}
+        now, said = 0, dict[str, float]()
         for stamp, value, i in zip(stamps[order].tolist(), values[order].tolist(),
                                    owner[order].tolist()):
             if stamp != now:
