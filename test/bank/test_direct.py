@@ -1,6 +1,7 @@
 """Sensors that read commands directly, and wanted functionals that are no sensors."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -271,7 +272,9 @@ def test_wanted_functionals_of_several_rows_are_left_out(bench, wanted):
 def test_the_switch_decides_on_sensors_alone(wanted):
     switch = Switch.of(wanted)
     assert set(switch.decisions) == {'y1', 'y2'}
-    switch = switch.isolate(('y1',), 5).decide(5, lambda *_: True, lambda *_: None)
+    asked = SimpleNamespace(ready=lambda *_: True, converges=lambda *_: False,
+                            deviation=lambda *_: 0.1, why_not=lambda *_: None)
+    switch = switch.isolate(('y1',), 5).decide(5, asked)
     assert {name: d.source for name, d in switch.decisions.items()} == {
         'y1': Source.VIRTUAL, 'y2': Source.REAL}
     with pytest.raises(KeyError, match='v: no such sensor'):

@@ -59,7 +59,7 @@ def swing(made, size, seconds=30.0):
 
 
 def test_it_covers_the_truth_where_the_model_does_not_hold(made):
-    (_, before), (error, deviation) = swing(made, 4.0)
+    (_, before), (error, deviation) = swing(made, 2.6)
     assert (np.abs(error) <= 2 * before[-1]).mean() < 0.7  # or there is nothing to show
     assert (np.abs(error) <= 2 * deviation).mean() >= 0.9
     assert np.median(deviation) < 5 * np.sqrt(np.mean(error**2))
@@ -75,5 +75,5 @@ def test_without_anybody_to_tell_it_stays(made, bench):
     """A design without the pair: with y1 lost, nothing is compared any more."""
     alone = bench.design(*(v for v in made.virtual_sensors if len(v.fault_set) == 1),
                          inputs=('u1',))
-    (_, before), (_, deviation) = swing(alone, 4.0)
+    (_, before), (_, deviation) = swing(alone, 2.6)
     assert np.ptp(deviation) < 0.01 * before[-1]

@@ -234,6 +234,26 @@ def test_an_estimate_too_uncertain_is_not_sent(rig, parameters):
     assert told.source == 'none' and 'max_deviation' in told.reason and len(heard) == count
 
 
+def test_by_default_an_estimate_beyond_a_tenth_of_the_range_is_not_sent(
+        rig, parameters, plan, tmp_path):
+    replace(plan, ranges={'y2': (-0.05, 0.05)}).save(tmp_path / 'design.json')
+    r = rig({**parameters, 'design_file': str(tmp_path / 'design.json')})
+    heard = r.listen(RANGE, '/y2')
+    for n in np.random.default_rng(1).uniform(-0.01, 0.01, LONG):
+        r.step(*r.healthy(y1=0.5 + n))  # as above: it is good to more than 0.01
+    before = r.told()['y2'].reserve
+    assert before.code == 'beyond a tenth of the range' and before.fact('limit') == 0.01
+    r.isolate('y2')
+    r.step(*r.healthy(), periods=3)
+    told = r.told()['y2']
+    assert told.source == 'none' and 'above a tenth of the range, 0.01' in str(told.reason)
+    assert r.spin_until(lambda: len(heard) == LONG)
+    limits = {'y1': None, 'y2': 0.0, 'y3': None}
+    r.replacer.apply(replace(r.replacer.settings.live, max_deviation=limits))
+    r.step(*r.healthy(), periods=3)
+    assert r.told()['y2'].source == 'virtual'
+
+
 def test_a_silent_sensor_is_replaced_when_that_is_wanted(rig, parameters):
     r = rig({**parameters, 'sensors.y2.silent': 'replace', 'sensors.y2.max_age': 0.1})
     heard = r.listen(RANGE, '/y2')

@@ -41,7 +41,7 @@ class Elsewhere:
             & ~reads[np.arange(len(own)), own] & (own >= 0)
         self._tells = tells
         self._rows = max(1, round(WHILE / period))
-        self._usual = np.full(len(own), np.inf)  # (O,)
+        self._usual: np.ndarray = np.full(len(own), np.inf)  # (O,)
         self.told_of: list[bool] = tells.any(axis=1).tolist()  # anybody tells of an output
         self.restart()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 
 import numpy as np
 
@@ -108,8 +109,9 @@ class Measured:
         found = np.full(len(self._warm), np.nan)
         last = Told(*(part[-1] for part in told))
         for o in np.flatnonzero(ages[0] < 2.0 * self._warm):
-            found[o] = np.hypot(*(self._batch.deviation(int(o), z, last, age * self._seconds)
-                                  for age in ages[:, o].tolist())) / np.sqrt(2.0)
+            first, end = (self._batch.deviation(int(o), z, last, age * self._seconds)
+                          for age in ages[:, o].tolist())
+            found[o] = math.hypot(first, end) / math.sqrt(2.0)
         return found
 
     def is_usual(self, name: str, interval: int) -> bool:

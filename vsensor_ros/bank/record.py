@@ -229,10 +229,10 @@ class Record:
         if not latest.any():
             return None
         blocks = self._blocks[:, row, latest]
-        sums = _Block(*blocks.sum(axis=1).tolist())
-        return Rehearsal(
-            sums.first / sums.seconds, (sums.second / sums.seconds)**0.5, float(blocks[-1].max()),
-            float(self.lately[row]), sums.within / sums.seconds, sums.seconds)
+        sums = _Block(*blocks.sum(axis=1))
+        return Rehearsal(*(float(found) for found in (
+            sums.first / sums.seconds, np.sqrt(sums.second / sums.seconds), blocks[-1].max(),
+            self.lately[row], sums.within / sums.seconds, sums.seconds)))
 
     def _look_at_slopes(self) -> None:
         slopes = np.array(self._slopes)

@@ -1,4 +1,4 @@
-"""How uncertain an estimate may be; beyond that it is not valid, and the reason says why."""
+"""How uncertain an estimate may be: beyond that it is not valid, and the reason says why."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vsensor_ros.reason import Reason
 SHARE = 0.01  # of the range: a model that is so near is good, whatever was designed for
 TIMES = 10.0  # the figure that it was designed for
 # codes of the reasons why a deviation is too large
-BEYOND = {'too uncertain', 'beyond the tolerance', 'beyond a tenth of the range', 'outgrown'}
+BEYOND = {'too uncertain', 'beyond the tolerance', 'beyond a tenth of the range'}
 
 
 @dataclass(frozen=True)
@@ -37,33 +37,26 @@ class Limits:
         deviation: of the estimate now, inf when not known. measured: returns its rms error while
         the sensor was healthy, NaN when not known.
         """
-        given, temporary = self.given[channel], entry.grade == 'temporary'
-        if given:
-            return None if deviation <= given else Reason.of(
-                'too uncertain', deviation=deviation, limit=given)
-        if given is not None and not temporary:
-            return None
-        limit = self.design.tolerance(channel)
+        limit = self.largest(entry, channel)
         if limit is None:
-            if temporary:
-                return Reason('no limit')
-        elif deviation > limit and (temporary or math.isfinite(deviation)):
-            return Reason.of(
-                'beyond the tolerance' if channel in self.design.tolerances else
-                'beyond a tenth of the range', deviation=deviation, limit=limit)
-        if temporary:
+            return Reason('no limit')
+        # where the design sets the limit, what is not known is not beyond it
+        if deviation > limit and (deviation < math.inf or entry.grade == 'temporary'
+                                  or self.given[channel]):
+            code = 'too uncertain' if self.given[channel] else 'beyond the tolerance' \
+                if channel in self.design.tolerances else 'beyond a tenth of the range'
+            return Reason.of(code, deviation=deviation, limit=limit)
+        if self.given[channel] is not None or entry.grade == 'temporary':
             return None
         return self._unlike(entry, channel, deviation, measured)
 
-    def largest(self, entry: Entry, channel: str) -> float:
-        """Return the largest deviation of an estimate that is good enough; inf: any is."""
-        given = self.given[channel]
-        if given or (given is not None and entry.grade != 'temporary'):
+    def largest(self, entry: Entry, channel: str) -> float | None:
+        """Return the largest deviation with which it serves; inf: any; None: with none."""
+        given, temporary = self.given[channel], entry.grade == 'temporary'
+        if given or (given is not None and not temporary):
             return given or math.inf
         limit = self.design.tolerance(channel)
-        if limit is None:
-            return 0.0 if entry.grade == 'temporary' else math.inf
-        return limit
+        return limit if limit is not None or temporary else math.inf
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
                 measured: Callable[[], float]) -> Reason | None:

@@ -67,7 +67,8 @@ class StandIn:
         entry = self._bank.entry(fault_set, name)
         if entry is None or isinstance(entry, Refusal):
             return math.inf
-        return self._bank.remaining(fault_set, name, self._limits.largest(entry, name))
+        limit = self._limits.largest(entry, name)
+        return math.inf if limit is None else self._bank.remaining(fault_set, name, limit)
 
     def _exceeded(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
         """Return why an estimate is not good enough, or None when it is."""

@@ -14,7 +14,8 @@ NODE = 'replacer'  # name of the status that is about no channel
 STYLES = {'none': 'bold red', 'silent': 'bright_black', 'virtual': 'yellow', 'real': 'green'}
 MOST_WORDS = 3  # lines for the words on a channel, where there is room
 LONGEST_NAME = 16  # characters, in a narrow terminal
-DROPPED = ('OFFSET', 'STEP', 'RESERVE', 'SERVED BY', 'SW', 'SINCE', 'VALUE')  # in a narrow terminal
+# in a narrow terminal
+DROPPED = ('OFFSET', 'STEP', 'RESERVE', 'SERVED BY', 'SW', 'SINCE', 'VALUE')
 
 Piece = tuple[str, str]  # text and its style, in the words of rich
 Line = tuple[Piece, ...]
