@@ -31,12 +31,50 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
         if isinstance(entry, Refusal):
             assert ': cannot be replaced\n' in block and entry.reason in block
         else:
-            assert ': can be replaced\n' in block
+            some = ' for a time' if entry.grade == 'temporary' else ''
+            assert f': can be replaced{some}\n' in block
             assert f'order             {entry.order} (' in block
             assert all(entry.terms[i].name in block for i in entry.active)
             assert all(name in block for name in entry.reads)
-    assert said.endswith(f'\n\n{len(result.virtual_sensors)} of {len(result.entries)} can be '
-                         f'replaced; written to {path}\n')
+    assert said.endswith(f'; written to {path}\n')
+    assert f'\n\n{len(result.virtual_sensors)} of {len(result.entries)} can be replaced' in said
+
+
+JOINT = """
+name: joint
+time: continuous
+states:
+  angle: {unit: rad, process_noise: 0, range: [-3, 3]}
+  velocity: {unit: rad/s, process_noise: 0.2}
+inputs: {command: {}}
+dynamics: {angle: velocity, velocity: 8*command - 4*velocity}
+sensors:
+  encoder: {measures: angle, noise: 0.0005}
+  tacho: {measures: velocity, noise: 0.005, tolerance: 0.1}
+"""
+
+
+def test_what_serves_for_a_time_is_told_from_what_serves_for_good(tmp_path, capsys):
+    plant, path = tmp_path / 'joint.yaml', tmp_path / 'x'
+    plant.write_text(JOINT)
+    assert main([str(plant), '-o', str(path), '--up-to', '2']) == 0
+    said = capsys.readouterr().out
+    assert ('one      1 of 2 for good: tacho\n             for a time: encoder\n'
+            '    two      none for good\n             for a time: encoder+tacho\n') in said
+    block = said[said.index('encoder [rad] when it alone failed: can be replaced for a time'):]
+    assert 'good              for 7.1 days to 0.6 rad; 0.000195 rad at the loss\n' in block
+    assert 'it starts from the last good readings of encoder\n' in block
+    assert '4 of 4 can be replaced, 2 of them for a time only; written to' in said
+    assert Design.load(path)['encoder', 'encoder'].grade == 'temporary'
+    assert Design.load(path).tolerance('tacho') == 0.1
+    plant.write_text(JOINT.replace(', range: [-3, 3]', ''))
+    assert main([str(plant), '-o', str(path)]) == 0
+    assert ('for 1.6 s to 0.001 rad, for 2.9 min to 0.01 rad, for 4.8 h to 0.1 rad;'
+            in capsys.readouterr().out)
+    assert main([str(plant), '-o', str(path), '--no-temporary']) == 0
+    said = capsys.readouterr().out
+    assert 'one      1 of 2: tacho\n             not encoder\n' in said
+    assert isinstance(Design.load(path)['encoder', 'encoder'], Refusal)
 
 
 def test_servo_as_in_the_readme(tmp_path, capsys):

@@ -82,6 +82,24 @@ def test_a_mode_that_stays_is_served_for_a_time_and_refused_when_asked(plant, fa
     assert isinstance(refused, Refusal) and 'does not surely die out' in refused.reason
 
 
+def test_what_stays_stands_behind_a_small_virtual_sensor_of_what_drives_it():
+    """A position whose speed is one of 20 states; both sensors of it are lost."""
+    rng = np.random.default_rng(1)
+    n = 20
+    A = np.zeros((n + 1, n + 1))
+    A[:n, :n] = rng.normal(size=(n, n)) / np.sqrt(n) - 1.5 * np.eye(n)
+    A[n, 0] = 1.0
+    C = np.vstack([np.eye(n + 1)[[0, n]], np.hstack([rng.normal(size=(4, n)), np.zeros((4, 1))])])
+    plant = Plant.from_matrices(A, None, C)
+    result = design(plant, [('y1', 'y2')])
+    speed, position = result[('y1', 'y2'), 'y1'], result[('y1', 'y2'), 'y2']
+    assert speed.grade == 'exact' and position.grade == 'temporary'
+    assert position.order == speed.order + 1 and position.tracking.channels == ('y2', 'y1')
+    healthy = plant.C[2:]
+    assert position.Phi @ A == pytest.approx(
+        position.N @ position.Phi + position.J @ healthy, abs=1e-8)
+
+
 def test_what_can_be_replaced_for_good_is_and_is_tracked_besides():
     result = design(joint(), up_to=2)
     tacho = result[('tacho',), 'tacho']

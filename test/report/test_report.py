@@ -16,7 +16,14 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.designer import main
 from vsensor_ros.designer.location import locations
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers import Certificate, Limit, Refusal, VirtualSensor
+from vsensor_ros.observers import (
+    Certificate,
+    deviation_after,
+    horizon,
+    Limit,
+    Refusal,
+    VirtualSensor,
+)
 from vsensor_ros.report import page as report_module, report_simulation
 from vsensor_ros.report.page import page, write_report
 
@@ -119,6 +126,31 @@ def test_the_numbers_are_those_of_the_design(system, without_pictures):
             (s.order, s.verdict, s.why, s.freedom) for s in entry.proof.steps]
         assert [float(c[4]) for c in steps] == pytest.approx(
             [s.gap[0] for s in entry.proof.steps], rel=0.5)
+
+
+def test_what_serves_for_a_time_says_until_when_and_how_it_drifts_off():
+    plant = Plant.from_matrices(
+        [[0, 1, 0], [0, -4, -1], [0, 0, 0]], [0, 8, 0], [[1, 0, 0], [0, 1, 0]],
+        states=('angle', 'velocity', 'friction'), sensors=('encoder', 'tacho'),
+        units={'encoder': 'rad'}, noise=[0.0005, 0.005], process_noise=[0, 0.2, 0.001],
+        ranges=[[-3, 3], [-np.inf, np.inf], [-0.4, 0.4]], slow=['friction'],
+        tolerances={'encoder': 0.05})
+    result = design(plant, [('encoder',), ('encoder', 'tacho')])
+    alone = result['encoder', 'encoder']
+    shown = Page(page(plant, result))
+    assert '3 of 3 can be replaced, 3 of them for a time only' in shown.text
+    assert '<svg' not in page(plant, result)
+    assert re.match('for .* to 0.05 rad', shown.fact('e1', 'good'))
+    drift = {cells[0]: cells[1] for cells in shown.rows_of('e1') if len(cells) == 2}
+    assert drift['10 s'] == f'{deviation_after(alone, 10.0):.3g} rad'
+    # alone the tacho is read, whatever the friction; without it the friction decides
+    assert 'slow offset' not in drift
+    learnt = re.fullmatch('good for (.*) s to 0.05 rad with friction learnt, instead of (.*) s',
+                          shown.fact('e2', 'slow offset'))
+    both = result[('encoder', 'tacho'), 'encoder']
+    assert float(learnt[1]) == pytest.approx(horizon(both, 0.05), rel=0.05)
+    assert float(learnt[1]) > 1.5 * float(learnt[2])
+    assert shown.fact('e2', 'stability').endswith('the last good readings of encoder, tacho')
 
 
 def test_what_the_plant_is(discrete):

@@ -2,7 +2,7 @@
 Virtual sensors of which a mode stays: they serve for a time after their channel was lost.
 
 All that healthy sensors can correct they correct; the rest keeps its modes and starts from the
-last good readings. Source: method, section 8.
+last good readings. Source: method 3.12.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from vsensor_ros.designer import invariant_spaces
+from vsensor_ros.designer.driven import driven
 from vsensor_ros.designer.existence import forced_closure, measured_signs
 from vsensor_ros.designer.noise import (
     FAINTEST,
@@ -36,6 +37,7 @@ FAR = 1e4  # times its noise is what a failed channel counts with in the filter
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the plant's mean time constant, at which to judge
 QUIET = 2.0  # the least order is taken that deviates within this factor of the best
 MOST_SPACES = 4
+LITTLE = 4  # states: more are worth a search for what drives the modes that stay
 LARGEST_FILTER = 60  # states, up to which the filter is tried besides
 
 
@@ -94,12 +96,15 @@ def _arguments(problem: Problem, Phi: np.ndarray) -> np.ndarray | None:
 def _candidates(problem: Problem, known: Quotient,
                 terms: np.ndarray) -> Iterator[tuple[Candidate, str]]:
     """Yield observers on small spaces as they are, and the filter less what it does not need."""
-    found = 0
     rows = np.vstack([known.v, terms])
-    for _, space in zip(range(MOST_SPACES), invariant_spaces.spaces(known, rows)):
+    spaces = [space for _, space in zip(range(MOST_SPACES), invariant_spaces.spaces(known, rows))]
+    for space in spaces:
         yield invariant_spaces.plain_candidate(known, space), 'closed subspace'
-        found += 1
-    if known.order <= LARGEST_FILTER or not found:
+    if not spaces or len(spaces[0].W) > LITTLE:
+        behind = driven(problem, known)
+        if behind is not None:
+            yield behind, 'behind what drives it'
+    if known.order <= LARGEST_FILTER or not spaces:
         filter_ = _filter(problem, known, terms)
         if filter_ is not None:
             yield filter_, 'filter'

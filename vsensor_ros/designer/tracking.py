@@ -1,7 +1,7 @@
 """
 How readings of the failed channels correct a virtual sensor while they are still believed.
 
-The steady Kalman filter of its error, noise as in noise.py. Source: method, section 8.
+The steady Kalman filter of its error, noise as in noise.py. Source: method 3.12.
 """
 
 from __future__ import annotations

@@ -179,7 +179,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
     """Say in sentences how far its stability is proved."""
     c = entry.certificate
     if entry.grade == 'temporary':
-        return ['none, and nothing is certified: it starts from the last good readings of '
+        return ['nothing is certified: it starts from the last good readings of '
                 f'{", ".join(entry.tracking.channels) if entry.tracking else "its channel"}']
     if c is None:
         terms = ', '.join(entry.terms[i].name for i in entry.active)

@@ -1,7 +1,7 @@
 """
 A virtual sensor that follows its channel while that is believed, and how it drifts off after.
 
-Source: method, section 8. Letters are those of virtual_sensor.py.
+Source: method 3.12. Letters are those of virtual_sensor.py.
 """
 
 from __future__ import annotations
@@ -91,10 +91,10 @@ def horizon(v: VirtualSensor, tolerance: float) -> float:
     0 when it is never, inf when it is for 30 years. Raises ValueError where v has no tracking.
     """
     t, unit = _tracking(v), v.sample_time or _FINEST
-    steps = list(_octaves(v, _OCTAVES))
     row, variance, count = v.Cv[:1], t.direct, 0
     limit = tolerance**2
     with np.errstate(all='ignore'):
+        steps = list(_octaves(v, _OCTAVES))
         if not variance + _squared(row, t.P)[0] <= limit:
             return 0.0
         # the deviation never falls: take the largest steps that are still tolerable

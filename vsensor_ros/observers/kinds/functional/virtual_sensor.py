@@ -22,7 +22,7 @@ from vsensor_ros.observers.knowledge import Certificate, Noise, Proof, Rung
 @dataclass(frozen=True, eq=False)
 class Tracking:
     """
-    How readings of the failed channels correct z while they are still believed (method, 8).
+    How readings of the failed channels correct z while they are still believed (method 3.12).
 
     ``d z = N z + J y0 + .. + L r`` with ``r = y_f - (C z + Q y0 + Qu u)``, and without them
     ``d P = N P + P N' + W`` for the covariance P of ``e = Phi x - z``.
