@@ -135,6 +135,12 @@ class Bank(Steps):
         followed = tracked.warm_up + self._guard[i]
         return followed if tracked.temporary else min(alone, followed)
 
+    def grows(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether it only goes on from the channel's last readings, and drifts off then."""
+        output = self._output.get((frozenset(fault_set), channel))
+        i = None if output is None else self._tracked.get(output)
+        return i is not None and self._batch.tracked[i].temporary
+
     def remaining(self, fault_set: Iterable[str], channel: str, limit: float) -> float:
         """Return how long [s] it is until its deviation passes a limit; inf: it does not grow."""
         output = self._output.get((frozenset(fault_set), channel))

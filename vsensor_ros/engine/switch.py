@@ -225,7 +225,8 @@ class Switch:
     def reserve(self, name: str, time: int, asked: Candidates) -> Decision:
         """Return what would be decided for a channel if it were reported faulty, too."""
         if self.forced:  # that may end then
-            return self.isolate(self.reported | {name}, time).decide(time, asked).decisions[name]
+            would = replace(self.isolate(self.reported | {name}, time), told=None)
+            return would.decide(time, asked).decisions[name]
         faulty = self.faulty | {name}
         failing = replace(self, faulty=faulty, reported=self.reported | {name})
         source, fault_set = failing._server(name, faulty, time, asked)
