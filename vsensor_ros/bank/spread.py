@@ -27,11 +27,11 @@ class Spreads:
         found = [batch.bent(i) for i in range(len(free))]
         self.bent = [i for i, b in enumerate(found) if b is not None]
         self._rows = free[self.bent]
-        k = batch.width
+        n, k = len(self.bent), batch.width
         self._at = {i: at for at, i in enumerate(self.bent)}
-        self._start = np.array([b.start for b in found if b is not None]).reshape(-1, k, k)
-        self._growth = np.array([b.growth for b in found if b is not None]).reshape(-1, k, k)
-        self._row = np.array([b.row for b in found if b is not None]).reshape(-1, k)
+        self._start = np.array([b.start for b in found if b is not None]).reshape(n, k, k)
+        self._growth = np.array([b.growth for b in found if b is not None]).reshape(n, k, k)
+        self._row = np.array([b.row for b in found if b is not None]).reshape(n, k)
         self._direct = [b.direct for b in found if b is not None]
 
     def begin(self, before: State, placed: State) -> State:
