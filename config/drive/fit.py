@@ -13,8 +13,8 @@ it by a third of that.
 
 Friction is fitted so that a second and a half of simulation ends where the carriage did. Process
 noise is chosen where friction was not fitted: friction of the first quarter, the likelihood of
-what a tracked start errs by in the second. Then friction is fitted to the whole first half. The second
-half is only scored. The recording's reference is never used: it tells the position.
+what a tracked start errs by in the second. Then friction is fitted to the whole first half. The
+second half is only scored. The recording's reference is never used: it tells the position.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The covariance of a free run along its way, against a linear flow and a pendulum near the top."""
+"""The covariance of a free run along its way: a linear flow, and a pendulum near the top."""
 
 import numpy as np
 from scipy.linalg import expm
