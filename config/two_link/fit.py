@@ -14,7 +14,7 @@ along the shoulder's measured motion (its momentum m12 vel1 + m22 vel2 does not 
 torque). Each joint's friction is d v + f tanh(v/vs); z1 and z2 are the encoders' zeros.
 
 Process noise is chosen, not fitted, on the same runs, by a rule that was written before any of
-its figures were seen (config/two_link/noise.py): of the noises SHOULDER and ELBOW on the
+its figures were seen (benchmark/arm_noise.py): of the noises SHOULDER and ELBOW on the
 accelerations the smallest, the elbow's first, with which at least 95 % of what the engine lets
 go out lies within two deviations, when the elbow's encoder is lost for 2 s from every second of
 those runs (positions and speeds together); if there are none, those that come nearest. What is
