@@ -17,7 +17,7 @@ import sys
 
 import numpy as np
 
-from benchmark.recordings import arm_run, ARM_PLANT, ELBOW, ELBOW_LOST, two_link
+from benchmark.recordings import ARM_PLANT, arm_run, ELBOW, ELBOW_LOST, two_link
 from vsensor_ros import load_plant
 from vsensor_ros.engine import Setup
 from vsensor_ros.recordings import Recording, replay
