@@ -4,7 +4,7 @@ Choose the process noise of the two-link arm on the runs that its model was fitt
     VSENSOR_DATA=FOLDER python -m benchmark.arm_noise
 
 The rule is in config/two_link/fit.py, which has the figures chosen. Nothing here reads the runs
-that they are judged on. Takes up to fifteen minutes.
+that they are judged on. Takes a minute a pair.
 """
 
 from __future__ import annotations

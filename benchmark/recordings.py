@@ -3,7 +3,7 @@ Real recordings through the engine: how good the reserves of lost sensors are.
 
     VSENSOR_DATA=FOLDER python -m benchmark.recordings [drive] [two_link]
 
-Models were fitted, and noise was chosen, on other parts than are judged here. Takes ten minutes.
+Models were fitted, and noise was chosen, on other parts than are judged here. Takes three minutes.
 """
 
 from __future__ import annotations

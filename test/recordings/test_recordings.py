@@ -34,6 +34,7 @@ def test_losses_do_not_disturb_each_other(drive):
     loss = Loss(('encoder',), 3.0, 3.3)
     (_, alone), = replay(setup, recording, [loss])
     both = replay(setup, recording, [loss, Loss(('encoder',), 2.9, 3.2)])
+    assert np.isfinite(alone['encoder'].values).all()
     np.testing.assert_array_equal(both[1][1]['encoder'].values, alone['encoder'].values)
 
 
