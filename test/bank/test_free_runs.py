@@ -246,29 +246,51 @@ def test_neither_a_fault_before_its_isolation_nor_a_spike_enters_what_was_rehear
     assert np.nanmax(spiky.bank._measured.growth.measured[0, :3]) < 0.01
 
 
-def test_the_surer_of_two_runs_serves_and_not_by_turns(bench):
-    """An independent run that is good to 0.002 takes over when the free one no longer is."""
-    slow = bench.encoder(grade='exact', noise=Noise(0.002, 0.002, False))
-    slow = replace(slow, N=np.array([[-2.0]]), J=np.array([[0.0]]), B=np.array([[2.0]]),
-                   inputs=('u',), Qu=np.zeros((1, 1)), Gu=(), eigenvalues=np.array([-2.0 + 0j]),
-                   tracking=replace(slow.tracking, Qu=np.zeros((1, 1)), W=np.array([[4e-5]])))
-    made = bench.design(slow, names=NAMES, inputs=('u',))
-    bank, runs, values = Bank(made, RATE), [], []
+def _beside_a_command(bench, error):
+    """Return a lag that a command drives: its independent run is good to an error."""
+    slow = bench.encoder(grade='exact', noise=Noise(error, error, False))
+    return bench.design(replace(
+        slow, N=np.array([[-2.0]]), J=np.array([[0.0]]), B=np.array([[2.0]]), inputs=('u',),
+        Qu=np.zeros((1, 1)), Gu=(), eigenvalues=np.array([-2.0 + 0j]), tracking=replace(
+            slow.tracking, Qu=np.zeros((1, 1)), W=np.array([[4e-5]]))),
+        names=NAMES, inputs=('u',))
+
+
+def _lost_after(steps, bank, said):
+    """Let the channel say this of each step, and lose it; yield after each step from then on."""
     for k in range(600):
         now = k * PERIOD * MS
         bank.take('u', now, 1.0)
-        bank.take('angle', now, 1.0 - np.exp(-0.04 * k))
+        bank.take('angle', now, 1.0 - np.exp(-0.04 * k) + said(k))
         bank.advance(now)
-        if k == 75:
+        if k == steps:
             assert bank.ready(*KEY) and bank.run(*KEY) == ''
             bank.distrust({'angle'})
-        if k >= 75:
-            runs.append(bank.run(*KEY))
-            values.append((bank.estimate(*KEY), bank.deviation(*KEY)))
+        if k >= steps:
+            yield k
+
+
+def test_the_surer_of_two_runs_serves_and_not_by_turns(bench):
+    """An independent run that is good to 0.002 takes over when the free one no longer is."""
+    bank, runs, values = Bank(_beside_a_command(bench, 0.002), RATE), [], []
+    for _ in _lost_after(75, bank, lambda k: 0.0):
+        runs.append(bank.run(*KEY))
+        values.append((bank.estimate(*KEY), bank.deviation(*KEY)))
     changes = [a != b for a, b in zip(runs, runs[1:])]
     assert runs[0] != '' and runs[-1] == '' and sum(changes) == 1
     at = changes.index(True)
     assert values[at + 1][1] < 0.8 * values[at][1] * 1.01
+
+
+@pytest.mark.parametrize(('error', 'fault'), [
+    (0.02, 0.5),  # the free run would be the surer, but they do not agree
+    (0.003, 0.01)])  # it is hardly surer
+def test_what_never_read_the_channel_serves_where_the_other_is_no_surer(bench, error, fault):
+    """A fault that nobody noticed for longer than the guard is in the free run alone."""
+    bank = Bank(_beside_a_command(bench, error), RATE)
+    for k in _lost_after(250, bank, lambda k: fault * (k > 190)):
+        assert bank.run(*KEY) == ''
+        assert abs(bank.estimate(*KEY) - 1.0 + np.exp(-0.04 * k)) < error
 
 
 def test_each_kind_has_its_own(bench, made):

@@ -341,6 +341,8 @@ BROKEN = {
                                            'eigenvalues')},
                                        'order': 0, 'terms': [], 'Cv': [[]], 'Q': [[1.0]]}),
         'of order 0 there is nothing to track'),
+    'numbers that have no product': (
+        lambda r: last(r)['tracking'].update(L=[[1e200], [0.0]]), 'L: has a number above'),
     'shape of L': (lambda r: last(r)['tracking'].update(L=[[1.0]]), 'tracking.L: is not 2 x 1'),
     'shape of Q of the tracked': (
         lambda r: last(r)['tracking'].update(Q=[[1.0]]), 'tracking.Q: is not 1 x 2'),

@@ -436,8 +436,23 @@ class Bank(Steps):
                             self._spreads.deviation(i, state))
             freely = self._deviation_of(output, free, state, unseen) \
                 if state.running[free] else math.inf
-            if self._runs.choose(i, alone, freely):
+            agree = max(alone, freely) == math.inf or \
+                self._apart(output, i) <= _OUT_OF_LINE * math.hypot(alone, freely)
+            if self._runs.choose(i, alone, freely, agree):
                 self._estimates = None
+
+    def _apart(self, output: int, i: int) -> float:
+        """Return by how much the independent and the free run of a tracked one differ now."""
+        state, tracked = self._past[-1], self._batch.tracked[i]
+        z = state.z[:self._batch.size].copy()
+        said = []
+        for run in (tracked.own, tracked.free):
+            z[tracked.own] = state.z[run]
+            with np.errstate(all='ignore'):
+                said.append(float(self._batch.estimates(
+                    z, state.told.y, state.told.held)[output]))
+        angle = self.angles.get(self._batch.keys[output][1])
+        return abs(said[1] - said[0] if angle is None else angle.shortest(said[1] - said[0]))
 
     def _row(self, output: int) -> int:
         """Return the run that serves for an output."""

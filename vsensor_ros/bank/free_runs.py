@@ -58,7 +58,7 @@ class FreeRuns:
         self._seeds: list[Seed | None] = [None] * len(self.tracked)
         self.why: list[Reason | None] = [None] * len(self.tracked)
         self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
-        self._fresh: set[int] = set()  # of which no run was chosen yet
+        self._spoilt: set[int] = set()  # by a fault from before the guard
         self.flying = False  # any
         self.steady = False  # all rehearse
         self.rows = self._alone
@@ -119,6 +119,7 @@ class FreeRuns:
 
     def _land(self, i: int) -> None:
         self._seeds[i] = self.why[i] = None
+        self._spoilt.discard(i)
         self.flying = any(seed is not None for seed in self._seeds)
         own = self.tracked[i].own
         if self.rows[own] != own:
@@ -128,15 +129,22 @@ class FreeRuns:
         """Return of the states (R, k) those that serve (V, k)."""
         return z[:len(self.rows)] if self.rows is self._alone else z[self.rows]
 
-    def choose(self, i: int, alone: float, free: float) -> bool:
-        """Let that run serve whose deviation is the smaller; tell whether it is another one."""
+    def choose(self, i: int, alone: float, free: float, agree: bool = True) -> bool:
+        """
+        Let that run serve whose deviation is clearly the smaller; tell whether it is another one.
+
+        At the loss that is the independent run, which no fault of the channel has reached. Where
+        the two do not agree, such a fault is in the free run, which does not serve any more.
+        """
+        if not agree:
+            self._spoilt.add(i)
+        if i in self._spoilt:
+            free = np.inf
         own, row = self.tracked[i].own, self.tracked[i].free
-        better = 1.0 if i in self._fresh else _BETTER
-        self._fresh.discard(i)
         if self.rows[own] == own:
-            new = row if free <= better * alone else own
+            new = row if free < _BETTER * alone else own
         else:
-            new = own if alone < better * free else row
+            new = own if alone < _BETTER * free else row
         if new == self.rows[own]:
             return False
         self._serve(own, new)
@@ -173,7 +181,6 @@ class FreeRuns:
             return None
         row = self._trackers[i]
         self._seeds[i] = Seed(tick, state.z[row].copy(), self._spread(i, tick, past))
-        self._fresh.add(i)
         self.flying, self.steady = True, False
         return tick
 

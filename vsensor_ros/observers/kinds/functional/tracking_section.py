@@ -10,6 +10,7 @@ from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.kinds.functional.virtual_sensor import is_stable, Tracking, worst_of
 from vsensor_ros.observers.knowledge_section import read_covariance
 
+_LARGEST = 1e100  # so that their products are numbers
 _ARRAYS = ('L', 'C', 'Q', 'Qu', 'P', 'W')
 
 
@@ -41,6 +42,10 @@ def read_tracking(v: CheckedObject, fault_set: tuple[str, ...], channel: str, N:
     if not k:
         raise v.fail('tracking', 'stands there, but of order 0 there is nothing to track')
     L, C = reader.array('L', k, f), reader.array('C', f, k)
+    Q, Qu = reader.array('Q', f, l0), reader.array('Qu', f, m)
+    for key, found in (('L', L), ('C', C), ('Q', Q), ('Qu', Qu)):
+        if (np.abs(found) > _LARGEST).any():
+            raise reader.fail(key, f'has a number above {_LARGEST:g}')
     slopes = None if reader.record.get('slopes', 0) is None else reader.array('slopes', k, k)
     noise = None if reader.record.get('noise', 0) is None else reader.array('noise', f)
     if noise is not None and (noise < 0.0).any():
@@ -49,6 +54,6 @@ def read_tracking(v: CheckedObject, fault_set: tuple[str, ...], channel: str, N:
     if not is_stable(modes, sample_time):
         raise reader.fail('L', 'leaves N - L C unstable (eigenvalue '
                           f'{worst_of(modes, sample_time):.6g})')
-    return Tracking(channels, L, C, reader.array('Q', f, l0), reader.array('Qu', f, m),
+    return Tracking(channels, L, C, Q, Qu,
                     read_covariance(reader, 'P', k), read_covariance(reader, 'W', k),
                     reader.size('direct'), reader.flag('assumed'), noise, slopes)
