@@ -42,6 +42,7 @@ def test_ten_times_the_figure_that_it_was_designed_for(exceeded):
     assert exceeded(0.2, measured=0.11) == \
         'it erred by 0.11 beside the healthy sensor, more than 0.1: it was designed for 0.01'
     assert exceeded(0.2, measured=0.11, assumed=True) == ''
+    assert exceeded(0.2, measured=0.11, figure=0.0) == ''  # the plant file says `noise: 0`
     assert exceeded(0.029, measured=0.029, figure=1e-9, **RANGE) == ''  # a hundredth of the range
     assert exceeded(0.031, measured=0.031, figure=1e-9, **RANGE) != ''
 

@@ -63,11 +63,11 @@ class Limits:
         """
         Return that it is far worse than designed.
 
-        A figure that is made of assumed noise says nothing of that. Nor does what is left of the
-        start, or a reading that comes late: that passes, and is in the deviation. But where
-        something surer serves than what was measured, that was no good measure of it.
+        A figure that is made of assumed noise, or of none, says nothing of that. Nor does what is
+        left of the start, or a reading that comes late: that passes, and is in the deviation. But
+        where something surer serves than what was measured, that was no good measure of it.
         """
-        if entry.noise is None or entry.noise.assumed:
+        if entry.noise is None or entry.noise.assumed or not entry.noise.error:
             return None
         low, high = self.design.ranges.get(channel, (0.0, 0.0))
         limit = max(TIMES * entry.noise.error, SHARE * (high - low))
