@@ -31,6 +31,7 @@ ARROWS = {  # room: what it may import besides itself
     'bank': LEAVES | {'functions', 'observers'},
     'engine': LEAVES | {'bank', 'observers'},
     'node': LEAVES | {'engine', 'bank', 'observers'},
+    'recordings': LEAVES | {'plant', 'observers', 'engine'},
     'simulate': LEAVES | {'functions', 'plant'},
     'report': LEAVES | {'functions', 'plant', 'observers', 'designer', 'bank', 'simulate'},
     'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},

@@ -265,7 +265,7 @@ def test_unknown_argument_of_a_nonlinear_term_is_named():
 
 def test_a_row_of_tanks_reads_the_neighbours_only():
     """All levels are measured; those next to the failed one are enough."""
-    n = 4
+    n = 6
     G = np.eye(n) - np.eye(n, k=1)
     P = -np.eye(n) + np.eye(n, k=-1)
     plant = Plant.from_matrices(P @ G, np.eye(n)[:, :1], np.eye(n), P=P, G=list(G),

@@ -12,12 +12,11 @@ from vsensor_ros.observers.knowledge import Noise
 @pytest.fixture
 def exceeded(bench):
     """Return a function that judges an estimate whose design's figure is 0.01."""
-    def exceeded(deviation, measured=math.nan, given=None, grade='exact', assumed=False,
+    def exceeded(deviation, measured=math.nan, given=None, grows=False, assumed=False,
                  figure=0.01, **more):
-        v = replace(bench.virtual_sensor([[-1.0]], [[1.0]], noise=Noise(figure, figure, assumed)),
-                    grade=grade)
+        v = bench.virtual_sensor([[-1.0]], [[1.0]], noise=Noise(figure, figure, assumed))
         limits = Limits(replace(bench.design(v), **more), {'y1': given, 'y2': None})
-        reason = limits.exceeded(v, 'y1', deviation, lambda: measured)
+        reason = limits.exceeded(v, 'y1', deviation, lambda: measured, grows)
         return '' if reason is None else str(reason)
     return exceeded
 
@@ -58,10 +57,10 @@ def test_a_number_counts_alone_and_0_is_none(exceeded):
 @pytest.mark.parametrize('given', [None, 0.0])
 def test_a_temporary_one_needs_a_limit(exceeded, given):
     def judged(deviation, **more):
-        return exceeded(deviation, given=given, grade='temporary', **more)
+        return exceeded(deviation, given=given, grows=True, **more)
     assert judged(0.2, measured=0.2, **RANGE) == ''  # it is bound to grow
     assert 'a tenth of the range' in judged(0.31, **RANGE)
     assert 'the tolerance' in judged(math.inf, **TOLERANCE)
     assert judged(0.001) == 'it would serve for a time only, and no limit says for how long'
-    assert exceeded(0.001, given=0.1, grade='temporary') == ''
-    assert exceeded(0.2, given=0.1, grade='temporary', **RANGE) != ''
+    assert exceeded(0.001, given=0.1, grows=True) == ''
+    assert exceeded(0.2, given=0.1, grows=True, **RANGE) != ''

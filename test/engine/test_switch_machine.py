@@ -141,7 +141,7 @@ class Machine(RuleBasedStateMachine):
     @rule(seen=SEEN)
     def reset(self, seen):
         self.happen('reset', self.now)
-        self.gone = {}
+        self.gone, self.better = {}, {}
         for account in self.accounts.values():
             if account.log[-1][0] == 'well':
                 account.log.append(('pardon', self.now))

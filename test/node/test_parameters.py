@@ -73,7 +73,8 @@ def test_one_sensor_may_have_its_own(start, parameters):
         **parameters, 'recovery.policy': 'hold', 'recovery.dwell': 5, 'silent_sensor': 'replace',
         'max_deviation': 0.1, 'max_age': 1, 'autostart': False, 'sensors.y1.recovery': 'latched',
         'sensors.y1.dwell': 0, 'sensors.y2.silent': 'wait', 'sensors.y2.max_deviation': 0.0,
-        'sensors.y3.max_deviation': 'auto', 'sensors.y3.max_age': 4.0, 'sensors.y3.dwell': '', 'sensors.y3.recovery': ''}))
+        'sensors.y3.max_deviation': 'auto', 'sensors.y3.max_age': 4.0, 'sensors.y3.dwell': '',
+        'sensors.y3.recovery': ''}))
     assert settings.live.policies == {
         'y1': Policy('latched', 0.0, True), 'y2': Policy('hold', 5.0, False),
         'y3': Policy('hold', 5.0, True)}

@@ -67,7 +67,8 @@ def test_clear_gives_a_held_one_back_but_no_faulty_one(running):
     m.isolate('')
     assert m.spin_until(lambda: state(m, 'y2').recovering_s >= 0.0)
     assert source(m, 'y2') == 'virtual'
-    assert ask(m, 'y2/clear') == (True, 'y2 is real')
+    success, message = ask(m, 'y2/clear')  # a busy machine may add what it did not send on
+    assert success and message.startswith('y2 is real')
 
 
 def test_reset_releases_what_is_latched_or_forced(running):

@@ -135,6 +135,12 @@ class Bank(Steps):
         followed = tracked.warm_up + self._guard[i]
         return followed if tracked.temporary else min(alone, followed)
 
+    def grows(self, fault_set: Iterable[str], channel: str) -> bool:
+        """Tell whether it only goes on from the channel's last readings, and drifts off then."""
+        output = self._output.get((frozenset(fault_set), channel))
+        i = None if output is None else self._tracked.get(output)
+        return i is not None and self._batch.tracked[i].temporary
+
     def remaining(self, fault_set: Iterable[str], channel: str, limit: float) -> float:
         """Return how long [s] it is until its deviation passes a limit; inf: it does not grow."""
         output = self._output.get((frozenset(fault_set), channel))
@@ -339,8 +345,8 @@ class Bank(Steps):
             # what the model errs more now reaches it in time as much as the independent run
             more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
                 math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen[output], more, wider * float(
-                self._measured.growth.stated(i, age)))
+            found = math.hypot(unseen[output], more, wider * max(
+                float(self._measured.growth.stated(i, age)), self._spreads.deviation(i, state)))
         else:
             found = math.hypot(
                 wider * self._measured.base[output], unseen[output], self._batch.deviation(
@@ -425,7 +431,9 @@ class Bank(Steps):
             age = float(state.tick - state.since[own]) * self.period * 1e-9
             if state.running[own] and not self._batch.waiting(
                     output, state.z[:self._batch.size], age):
-                alone = self._deviation_of(output, own, state, unseen)
+                # it knows no more of where it is than the free run, that its terms bend as much
+                alone = max(self._deviation_of(output, own, state, unseen),
+                            self._spreads.deviation(i, state))
             freely = self._deviation_of(output, free, state, unseen) \
                 if state.running[free] else math.inf
             agree = max(alone, freely) == math.inf or \

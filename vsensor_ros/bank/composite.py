@@ -10,6 +10,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.observers import (
     Batch,
+    Bent,
     Design,
     Entry,
     kind_named,
@@ -143,6 +144,16 @@ class Composite(Batch):
         """Ask the kind."""
         part, own = self.tracks[i]
         return self.parts[part][0].drift(own, ages)
+
+    def bent(self, i: int) -> Bent | None:
+        """Ask the kind."""
+        part, own = self.tracks[i]
+        found = self.parts[part][0].bent(own)
+        if found is None:
+            return None
+        wide = (0, self.width - len(found.row))
+        return Bent(np.pad(found.start, (wide, wide)), np.pad(found.growth, (wide, wide)),
+                    np.pad(found.row, wide), found.direct)
 
     def _own(self, output: int, z: np.ndarray) -> tuple[Batch, int, np.ndarray]:
         i, own = self.outputs[output]

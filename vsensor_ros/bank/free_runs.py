@@ -138,11 +138,11 @@ class FreeRuns:
         """
         if not agree:
             self._spoilt.add(i)
-        if i in self._spoilt:
-            free = np.inf
         own, row = self.tracked[i].own, self.tracked[i].free
-        if self.rows[own] == own:
-            new = row if free < _BETTER * alone else own
+        if i in self._spoilt:
+            new = own
+        elif self.rows[own] == own:
+            new = row if free <= _BETTER * alone else own
         else:
             new = own if alone < _BETTER * free else row
         if new == self.rows[own]:

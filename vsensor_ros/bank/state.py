@@ -19,3 +19,5 @@ class State(NamedTuple):
     restarts: np.ndarray  # (R,) how often it became infinite
     outside: np.ndarray  # (R,) steps with an argument outside its domain
     told: Told
+    # (T, k, k) covariances of the free runs along their way; None: that bends no error
+    spread: np.ndarray | None = None

@@ -24,6 +24,7 @@ from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.readings import Samples
+from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Design, Told
 from vsensor_ros.reason import Reason
@@ -86,6 +87,7 @@ class Steps:
         self._kept = self._span
         if self._runs.tracked:
             self._kept += max(self._guards.values()) // self.period + 1
+        self._spreads = Spreads(self._batch, self._runs.free)
         self._step = self._batch.step if len(self._batch.runs_on) else None
         self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
         self._by_itself = self._everyone.copy()  # who starts when all that it needs is there
@@ -373,10 +375,13 @@ class Steps:
         """Step to the next grid time."""
         z, tick = state.z, state.tick + 1
         running, restarts, outside = state.running, state.restarts, state.outside
-        told, broken = self._told.at(self._at(tick)), None
+        told, broken, spread = self._told.at(self._at(tick)), None, None
         if self._step is not None and (running is self._everyone or running.any()):
             commands = self._told.over(self._at(state.tick), self._at(tick))
             z, out = self._step(z, state.told, told, commands)
+            if self._runs.flying and self._spreads.bent:
+                spread = self._spreads.step(state, z, lambda beside: self._batch.step(
+                    beside, state.told, told, commands)[0])
             if out.any():
                 outside = outside + (out & running)
             alive = running
@@ -388,7 +393,7 @@ class Steps:
                 restarts = restarts + broken
                 running = alive & finite
                 z = np.where(running[:, None], z, 0.0)
-        state = State(tick, z, running, state.since, restarts, outside, told)
+        state = State(tick, z, running, state.since, restarts, outside, told, spread)
         # what broke starts anew with the next step
         if running is not self._everyone and not (broken is not None and broken.any()):
             state = self._start(state)
@@ -397,7 +402,11 @@ class Steps:
     def _placed(self, state: State) -> State:
         """Let those free runs stand anew that begin there."""
         placed = self._runs.place(state)
-        if placed is state or not placed.running.all():
+        if placed is state:
+            return placed
+        if self._runs.flying and self._spreads.bent:
+            placed = self._spreads.begin(state, placed)
+        if not placed.running.all():
             return placed
         return placed._replace(running=self._everyone)
 
@@ -410,7 +419,7 @@ class Steps:
     def _stacked(self, states: Iterable[State]) -> tuple[
             np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
         """Return ticks, z, running, since, told of states, and the tick of each last reading."""
-        ticks, z, running, since, _, _, told = zip(*states)
+        ticks, z, running, since, _, _, told, _ = zip(*states)
         heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
                           for stamp in self._told.last_stamps()], dtype=int)
         return (np.array(ticks), np.array(z), np.array(running), np.array(since),

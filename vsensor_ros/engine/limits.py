@@ -22,41 +22,41 @@ class Limits:
 
     A number that is given for a sensor counts alone. Else a deviation may be at most the tolerance
     of the plant file, or a tenth of the sensor's range; and what was measured beside the healthy
-    sensor at most TIMES the design's figure. What is not known is not limited. But a temporary
-    virtual sensor needs a limit, for its deviation grows.
+    sensor at most TIMES the design's figure. What is not known is not limited. But where the
+    deviation is bound to grow, as of temporary virtual sensors, there must be a limit.
     """
 
     design: Design
     given: Mapping[str, float | None]  # by sensor, in its unit; 0: no limit; None: those above
 
     def exceeded(self, entry: Entry, channel: str, deviation: float,
-                 measured: Callable[[], float]) -> Reason | None:
+                 measured: Callable[[], float], grows: bool = False) -> Reason | None:
         """
         Return why the estimate of a channel is not good enough, or None when it is.
 
         deviation: of the estimate now, inf when not known. measured: returns its rms error while
-        the sensor was healthy, NaN when not known.
+        the sensor was healthy, NaN when not known. grows: its deviation is bound to.
         """
-        limit = self.largest(entry, channel)
+        limit = self.largest(channel, grows)
         if limit is None:
             return Reason('no limit')
         # where the design sets the limit, what is not known is not beyond it
-        if deviation > limit and (deviation < math.inf or entry.grade == 'temporary'
+        if deviation > limit and (deviation < math.inf or grows
                                   or self.given[channel]):
             code = 'too uncertain' if self.given[channel] else 'beyond the tolerance' \
                 if channel in self.design.tolerances else 'beyond a tenth of the range'
             return Reason.of(code, deviation=deviation, limit=limit)
-        if self.given[channel] is not None or entry.grade == 'temporary':
+        if self.given[channel] is not None or grows:
             return None
         return self._unlike(entry, channel, deviation, measured)
 
-    def largest(self, entry: Entry, channel: str) -> float | None:
+    def largest(self, channel: str, grows: bool) -> float | None:
         """Return the largest deviation with which it serves; inf: any; None: with none."""
-        given, temporary = self.given[channel], entry.grade == 'temporary'
-        if given or (given is not None and not temporary):
+        given = self.given[channel]
+        if given or (given is not None and not grows):
             return given or math.inf
         limit = self.design.tolerance(channel)
-        return limit if limit is not None or temporary else math.inf
+        return limit if limit is not None or grows else math.inf
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
                 measured: Callable[[], float]) -> Reason | None:

@@ -67,7 +67,7 @@ class StandIn:
         entry = self._bank.entry(fault_set, name)
         if entry is None or isinstance(entry, Refusal):
             return math.inf
-        limit = self._limits.largest(entry, name)
+        limit = self._limits.largest(name, self._bank.grows(fault_set, name))
         return math.inf if limit is None else self._bank.remaining(fault_set, name, limit)
 
     def _exceeded(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
@@ -79,7 +79,8 @@ class StandIn:
         def measured() -> float:
             found = self._bank.measured(fault_set, name)
             return math.nan if found is None else found.error
-        return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), measured)
+        return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), measured,
+                                     self._bank.grows(fault_set, name))
 
     def _told_apart(self, reason: Reason) -> Reason:
         """Tell an input that is silent from one whose stamps are of another clock."""

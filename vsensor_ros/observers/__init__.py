@@ -8,6 +8,7 @@ from vsensor_ros.observers.design import Design
 from vsensor_ros.observers.entry import Entry, Key, Refusal
 from vsensor_ros.observers.kinds import (
     Batch,
+    Bent,
     Kind,
     kind_named,
     kind_names,
@@ -25,6 +26,6 @@ from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep
 
 register(FUNCTIONAL)
 
-__all__ = ['Batch', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
+__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
            'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'Tracked', 'Tracking',
            'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register']

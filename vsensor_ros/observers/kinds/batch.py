@@ -36,6 +36,15 @@ class Tracked(NamedTuple):
         return self.free == self.own
 
 
+class Bent(NamedTuple):
+    """How the error of a free run begins and grows whose nonlinear terms bend it."""
+
+    start: np.ndarray  # (k, k) covariance of z at its start
+    growth: np.ndarray  # (k, k) what a step adds
+    row: np.ndarray  # (k,) of z in what it says
+    direct: float  # variance of what it says beside that
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Batch(ABC):
     """
@@ -107,6 +116,10 @@ class Batch(ABC):
     def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
         """Return the standard deviation of what a free run says, so long [s] after its start."""
         return np.full(np.shape(ages), np.inf)
+
+    def bent(self, i: int) -> Bent | None:
+        """Return how the error of a free run grows along its way; None: `drift` tells all."""
+        return None
 
     def interval(self, output: int, z: np.ndarray, told: Told,
                  age: float) -> tuple[float, float] | None:

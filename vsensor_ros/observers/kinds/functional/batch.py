@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.batch import Batch, Told, Tracked
+from vsensor_ros.observers.kinds.batch import Batch, Bent, Told, Tracked
 from vsensor_ros.observers.kinds.functional.convergence import (
     converge,
     Convergence,
@@ -41,6 +41,7 @@ class FunctionalBatch(Batch):
     sample_time: float  # s; 0: continuous
     convergence: tuple[Convergence, ...]  # of temporary ones that of the tracker
     drifts: np.ndarray  # (tracked, after)
+    bends: tuple[Bent | None, ...]  # of the tracked
     drifting: tuple[int, ...]  # which of the tracked a temporary one is; -1: it is none
     regions: tuple[Region | None, ...]  # of the certificates, over all L readings
 
@@ -78,6 +79,10 @@ class FunctionalBatch(Batch):
     def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
         """Return how far a free run has drifted off; beyond what is worked out, nobody knows."""
         return np.asarray(np.interp(ages, _AFTER, self.drifts[i], right=np.inf))
+
+    def bent(self, i: int) -> Bent | None:
+        """Return how the error of a free run grows where it has nonlinear terms."""
+        return self.bends[i]
 
     def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
         """
@@ -151,8 +156,19 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
         sample_time=design.sample_time or 0.0,
         convergence=convergence,
         drifts=np.array([deviation_after(kept[t.own], _AFTER) for t in tracked]),
+        bends=tuple(_bent(kept[t.own], k, period) for t in tracked),
         drifting=tuple(temporary.get(i, -1) for i in range(len(kept))),
         regions=regions)
+
+
+def _bent(v: VirtualSensor, k: int, period: float) -> Bent | None:
+    if not v.active:
+        return None
+    assert v.tracking is not None
+    step = period if v.sample_time is None else 1.0
+    wide = (0, k - v.order)
+    return Bent(np.pad(v.tracking.P, (wide, wide)), np.pad(step * v.tracking.W, (wide, wide)),
+                np.pad(v.Cv[0], wide), v.tracking.direct)
 
 
 def _helpers(kept: Sequence[VirtualSensor], sensors: tuple[str, ...],
