@@ -17,6 +17,7 @@ import numpy as np
 
 from vsensor_ros import design, load_plant
 from vsensor_ros.engine import Setup
+from vsensor_ros.plant import Plant
 from vsensor_ros.recordings import Loss, Recording, replay, settings, Track, verdict
 from vsensor_ros.simulate.recording import load_columns
 from vsensor_ros.simulate.table import read_table
@@ -24,8 +25,10 @@ from vsensor_ros.simulate.table import read_table
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 DRIVE = 'emps/DATA_EMPS.mat'
 ARM = 'double_pendulum/trajectory_{:02}.csv'
+ARM_PLANT = CONFIG / 'two_link' / 'plant.yaml'
 RATE = 100.0  # Hz, of the engine
 ELBOW = ('pos2', 'vel2')  # of one encoder
+ELBOW_LOST = [Loss(ELBOW, at, at + 2.0) for at in range(1, 8)]
 
 
 def drive(data: Path) -> tuple[Setup, Recording]:
@@ -36,9 +39,8 @@ def drive(data: Path) -> tuple[Setup, Recording]:
         {name: Track.of(time, values) for name, values in columns.items()})
 
 
-def two_link() -> Setup:
+def two_link(plant: Plant) -> Setup:
     """Return an engine for the arm, whose encoders tell position and speed in one message."""
-    plant = load_plant(CONFIG / 'two_link' / 'plant.yaml')
     return settings(design(plant, [ELBOW]), RATE, (('pos1', 'vel1'), ELBOW))
 
 
@@ -77,10 +79,9 @@ def main(chosen: Sequence[str]) -> int:
         judge('drive', setup, recording, [Loss(('encoder',), at, at + 1.0)
                                           for at in np.linspace(12.42, 23.8, 92)])
     if 'two_link' in chosen or not chosen:
-        setup = two_link()
+        setup = two_link(load_plant(ARM_PLANT))
         for number in range(5):
-            judge(f'arm, run {number}', setup, arm_run(data, number),
-                  [Loss(ELBOW, at, at + 2.0) for at in range(1, 8)])
+            judge(f'arm, run {number}', setup, arm_run(data, number), ELBOW_LOST)
     return 0
 
 

@@ -14,7 +14,9 @@ it by a third of that.
 Friction is fitted so that a second and a half of simulation ends where the carriage did. Process
 noise is chosen where friction was not fitted: friction of the first quarter, the likelihood of
 what a tracked start errs by in the second. Then friction is fitted to the whole first half. The
-second half is only scored. The recording's reference is never used: it tells the position.
+range of the offset is twice its largest size there, once it is found: without a range it would be
+taken to be anything at a start, and be learnt for 16 s. The second half is only scored. The
+recording's reference is never used: it tells the position.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ GUESS = np.array([95.0, 200.0, 0.0, 20.0, -3.0])  # near the published ones
 SCALE = np.array([10.0, 20.0, 20.0, 2.0, 2.0])
 READING = 1e-5  # m, of the encoder: with what vibrates between it and the carriage
 INTERVAL = 0.01  # s between the readings that the designer takes for granted
+FOUND = 1500  # samples after which a tracker has found the offset, more or less
 AGES = (300, 1000, 1500)  # samples after the loss at which errors count
 SHAKEN = (5e-4, 1e-3, 2e-3, 4e-3, 8e-3)  # m/s^2 per sqrt(Hz) on the velocity
 DRIFTING = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)  # m/s^2 per sqrt(s) of the offset
@@ -128,7 +131,8 @@ def noises(q: np.ndarray, u: np.ndarray) -> tuple[float, float]:
     return min(product(SHAKEN, DRIFTING), key=unlikely)
 
 
-def plant_file(theta: np.ndarray, shaken: float, drifting: float, comment: str) -> str:
+def plant_file(theta: np.ndarray, shaken: float, drifting: float, widest: float,
+               comment: str) -> str:
     """Return the plant file."""
     units = ('kg', 'N s/m', 'N s/m', 'N', 'N')
     numbers = '\n'.join(f'  {name}: {{value: {value:.6g}, unit: {unit}}}'
@@ -144,7 +148,8 @@ parameters:
 states:
   position: {{unit: m, process_noise: 1.0e-6, range: [0.0, 0.25]}}
   velocity: {{unit: m/s, process_noise: {shaken:g}}}
-  offset: {{unit: m/s^2, process_noise: {drifting:g}, slow: true}}
+  offset: {{unit: m/s^2, process_noise: {drifting:g}, slow: true,
+    range: [{-widest:.2g}, {widest:.2g}]}}
 inputs:
   voltage: {{unit: V}}
 dynamics:
@@ -178,11 +183,12 @@ def main() -> int:
     shaken, drifting = noises(q[:half], u[:half])
     theta = fit(q[:half], u[:half], GUESS)
     states, _ = tracked(theta, q, u, shaken, drifting)
+    widest = 2.0 * float(np.abs(states[FOUND:half, 2]).max())
     frozen = states * [1.0, 1.0, 0.0]
     rows = []
     for label, known in (('tracked start', states), ('the same, offset taken for 0', frozen)):
         first, second = (after(theta, q, u, known, np.arange(a, b - max(AGES) - 1, 50))[1]
-                         for a, b in ((1500, half), (half, len(q))))
+                         for a, b in ((FOUND, half), (half, len(q))))
         rows.append(f'  {label:<30} {figures(first)}   {figures(second)}')
     table = '\n'.join(rows)
     comment = f"""\
@@ -192,7 +198,8 @@ Error of the position 1 s after its loss [mm], median and 90 %: first half, unse
 {table}"""
     print(comment)
     try:
-        options.output.write_text(plant_file(theta, shaken, drifting, comment), encoding='utf-8')
+        options.output.write_text(
+            plant_file(theta, shaken, drifting, widest, comment), encoding='utf-8')
     except OSError as problem:
         print(f'{options.output}: cannot be written: {problem.strerror}', file=sys.stderr)
         return 2

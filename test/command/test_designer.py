@@ -41,7 +41,8 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             some = ' for a time' if entry.grade == 'temporary' else ''
             assert f': can be replaced{some}\n' in block
             assert f'order             {entry.order} (' in block
-            assert all(entry.terms[i].name in block for i in entry.active)
+            assert all(''.join(entry.terms[i].name.split()) in ''.join(block.split())
+                       for i in entry.active)
             assert all(name in block for name in entry.reads)
     assert said.endswith(f'; written to {path}\n')
     assert f'\n\n{len(result.virtual_sensors)} of {len(result.entries)} can be replaced' in said
