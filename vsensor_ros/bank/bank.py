@@ -438,7 +438,8 @@ class Bank(Steps):
                 if state.running[free] else math.inf
             agree = max(alone, freely) == math.inf or \
                 self._apart(output, i) <= _OUT_OF_LINE * math.hypot(alone, freely)
-            if self._runs.choose(i, alone, freely, agree):
+            proven = self._measured.record.proven(output)
+            if self._runs.choose(i, alone, freely, proven, agree):
                 self._estimates = None
 
     def _apart(self, output: int, i: int) -> float:

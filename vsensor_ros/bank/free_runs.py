@@ -58,6 +58,7 @@ class FreeRuns:
         self._seeds: list[Seed | None] = [None] * len(self.tracked)
         self.why: list[Reason | None] = [None] * len(self.tracked)
         self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
+        self._fresh: set[int] = set()  # of which no run was chosen yet
         self._spoilt: set[int] = set()  # by a fault from before the guard
         self.flying = False  # any
         self.steady = False  # all rehearse
@@ -129,22 +130,25 @@ class FreeRuns:
         """Return of the states (R, k) those that serve (V, k)."""
         return z[:len(self.rows)] if self.rows is self._alone else z[self.rows]
 
-    def choose(self, i: int, alone: float, free: float, agree: bool = True) -> bool:
+    def choose(self, i: int, alone: float, free: float, proven: bool, agree: bool) -> bool:
         """
-        Let that run serve whose deviation is clearly the smaller; tell whether it is another one.
+        Let that run serve whose deviation is the smaller; tell whether it is another one.
 
-        At the loss that is the independent run, which no fault of the channel has reached. Where
-        the two do not agree, such a fault is in the free run, which does not serve any more.
+        No fault of the channel has reached the independent run. If that has proven good beside
+        the channel, the free one must be clearly surer at the loss, too; and where the two do not
+        agree the fault is in the free one, which does not serve any more.
         """
-        if not agree:
+        better = 1.0 if i in self._fresh and not proven else _BETTER
+        self._fresh.discard(i)
+        if proven and not agree:
             self._spoilt.add(i)
-        if i in self._spoilt:
-            free = np.inf
         own, row = self.tracked[i].own, self.tracked[i].free
-        if self.rows[own] == own:
-            new = row if free < _BETTER * alone else own
+        if i in self._spoilt:
+            new = own
+        elif self.rows[own] == own:
+            new = row if free <= better * alone else own
         else:
-            new = own if alone < _BETTER * free else row
+            new = own if alone < better * free else row
         if new == self.rows[own]:
             return False
         self._serve(own, new)
@@ -181,6 +185,7 @@ class FreeRuns:
             return None
         row = self._trackers[i]
         self._seeds[i] = Seed(tick, state.z[row].copy(), self._spread(i, tick, past))
+        self._fresh.add(i)
         self.flying, self.steady = True, False
         return tick
 

@@ -23,6 +23,7 @@ _SOON = 1.0  # s, the same of slopes: nothing is said of held readings without t
 _MEMORY = 100.0  # s, or 30 time constants: at least so much is remembered
 _TIME_CONSTANTS = 30.0
 _ENOUGH = 10.0  # s, or 30 time constants: so much in motion, and what was measured counts alone
+_PROVEN = 10.0  # time constants, and at least _ENOUGH
 _BLOCKS = 128  # remembered of each virtual sensor
 _WORST = 20  # one block in so many is left out
 _BLOCK = 0.5  # s, at least 8 rows
@@ -233,6 +234,10 @@ class Record:
         return Rehearsal(*(float(found) for found in (
             sums.first / sums.seconds, np.sqrt(sums.second / sums.seconds), blocks[-1].max(),
             self.lately[row], sums.within / sums.seconds, sums.seconds)))
+
+    def proven(self, row: int) -> bool:
+        """Tell whether a virtual sensor was compared for so long that its deviation is known."""
+        return bool(self._blocks[0, row].sum() >= max(_ENOUGH, _PROVEN * self._alike[row]))
 
     def _look_at_slopes(self) -> None:
         slopes = np.array(self._slopes)
