@@ -62,7 +62,8 @@ SENTENCES: dict[str, Sentence] = {
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
-    'not tracked yet': 'its channel was lost before it was known well enough to go on without it',
+    'not tracked yet': 'its channel was lost before it was known well enough to go on without it, '
+    'or it started anew since',
     'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
     'are kept',
     'track lost': 'readings that it needs were missing since its channel was lost',
