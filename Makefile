@@ -8,6 +8,7 @@ RUN := .venv/bin/python
 
 # The wheels of ROS must not see an installed ROS, nor another environment's settings.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport PYTHONDONTWRITEBYTECODE  # or all is compiled anew in each process
 export AMENT_PREFIX_PATH := $(CURDIR)/.venv
 export ROS_LOG_DIR := $(CURDIR)/build/log
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
@@ -20,7 +21,7 @@ export OPENBLAS_NUM_THREADS := 1
 .PHONY: help demo test lint inject bench clean set-up
 
 help:
-	@echo 'make demo    watch failed sensors being replaced on three systems; build/demo'
+	@echo 'make demo    watch failed sensors being replaced on four systems; build/demo'
 	@echo 'make test    the tests but the slow ones (ARGS="-k name": a part; ARGS="-m slow": those)'
 	@echo 'make lint    ruff and mypy'
 	@echo 'make inject  inject every kind of fault into a replacer (SYSTEM=three_tank; ARGS=--quick)'

@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import median
 import sys
 import time
+from types import SimpleNamespace
 
 from benchmark.bank import make_design
 from benchmark.rig import Rig
@@ -54,6 +55,8 @@ def step(ticks: int) -> Growth:
     """Run bank and switch in this process."""
     design = make_design(1, nonlinear=True)  # of three sensors, one can be replaced
     bank, switch = Bank(design, RATE), Switch.of(design)
+    asked = SimpleNamespace(ready=bank.ready, converges=bank.converging, deviation=bank.deviation,
+                            why_not=bank.why_not)
     resident = []
     for tick in range(ticks):
         now = (tick + 1) * bank.period
@@ -64,7 +67,7 @@ def step(ticks: int) -> Growth:
         for i, name in enumerate((*design.sensors, *design.inputs)):
             bank.take(name, now, 2.0 + math.sin(1e-9 * now + i), now)
         bank.advance(now)
-        decided = switch.decide(now, bank.ready, bank.why_not)
+        decided = switch.decide(now, asked)
         if decided.faulty != switch.faulty:
             bank.distrust(decided.faulty)
         switch = decided

@@ -9,6 +9,7 @@ deadline and no complaint of slow drawing: the machine may be busy.
 import json
 import os
 from pathlib import Path
+import sys
 from types import SimpleNamespace
 
 from hypothesis import HealthCheck, settings
@@ -18,23 +19,24 @@ from scipy.integrate import solve_ivp
 
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking import Tracking
 
 PATIENT = {'deadline': None, 'suppress_health_check': [HealthCheck.too_slow]}
 
-settings.register_profile('fixed', derandomize=True, **PATIENT)
+settings.register_profile('fixed', derandomize=True, max_examples=40, **PATIENT)
 settings.register_profile('explore', **PATIENT)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
-ON_A_GRAPH = ('node', 'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py')
-
 
 def pytest_collection_modifyitems(items):
-    """Keep what plays on a ROS graph in one process: side by side it would only wait longer."""
+    """Keep in one process each file of tests that play on a ROS graph, and the lab's together."""
     for item in items:
-        if set(ON_A_GRAPH) & set(item.path.relative_to(Path(__file__).parent).parts):
+        where = item.path.relative_to(Path(__file__).parent)
+        if where.parts[0] == 'node':
+            item.add_marker(pytest.mark.xdist_group(where.stem))  # on a domain of the process
+        elif {'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py'} & {*where.parts}:
             item.add_marker(pytest.mark.xdist_group('ros'))
-
 
 
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
@@ -62,6 +64,39 @@ def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None,
 def design(*sensors, names=('y1', 'y2'), inputs=(), wanted=()):
     return Design('test', '0', ('x1',), tuple(inputs), tuple(names), {}, sensors[0].sample_time,
                   {(v.fault_set, v.channel): v for v in sensors}, wanted)
+
+
+ENCODER, TACHO, JERK = 0.0005, 0.005, 0.2  # standard deviations of the joint's noise
+
+
+def encoder(grade='temporary', rate=50.0, gain=1.0, names=('angle', 'tacho'), **more):
+    """
+    Make what stands in for the encoder of a joint from its tacho, for so many readings a second.
+
+    Its gain and covariances are those of the Kalman filter of the scalar ``angle' = vel``.
+    """
+    W = TACHO**2 / rate + JERK**2 / rate**2 / 12
+    P = np.sqrt(W * ENCODER**2 / rate)
+    one, none = np.eye(1), np.zeros((1, 0))
+    tracking = Tracking(names[:1], np.sqrt(W * rate) / ENCODER * one, one, 0.0 * one, none,
+                        P * one, W * one, 0.0)
+    return virtual_sensor([[0.0]], [[gain]], fault_set=names[:1], healthy=names[1:], grade=grade,
+                          tracking=tracking, start=one, **more)
+
+
+def joint(seconds, seed=0, rate=50.0):
+    """Return the true angle and speed (n, 2) of a joint that is driven, and what sensors say."""
+    rng, h = np.random.default_rng(seed), 1 / rate
+    a, speed = np.exp(-4.0 * h), 0.0
+    x = np.zeros((round(seconds * rate) + 1, 2))
+    for k in range(1, len(x)):
+        before = speed
+        speed = a * before + (1 - a) * 4.0 * np.sin(0.8 * k * h) + \
+            JERK * np.sqrt(h) * rng.standard_normal()
+        # what the process noise does between the readings
+        between = JERK * h**1.5 / np.sqrt(12) * rng.standard_normal()
+        x[k] = x[k - 1, 0] + h * (before + speed) / 2 + between, speed
+    return x, x + rng.standard_normal(x.shape) * (ENCODER, TACHO)
 
 
 def servo(lam, k7=-1.0, z0=-1.0):
@@ -175,12 +210,33 @@ def run(bank, key, rate, readings, commands):
 @pytest.fixture(scope='session')
 def bench():
     return SimpleNamespace(
-        virtual_sensor=virtual_sensor, design=design, servo=servo, tank=tank,
-        tank_truth=tank_truth, friction_truth=friction_truth, servo_truth=servo_truth, run=run,
-        Refusal=Refusal, SECOND=SECOND)
+        virtual_sensor=virtual_sensor, design=design, encoder=encoder, joint=joint, servo=servo,
+        tank=tank, tank_truth=tank_truth, friction_truth=friction_truth,
+        servo_truth=servo_truth, run=run, Refusal=Refusal, SECOND=SECOND)
 
 
 @pytest.fixture(scope='session')
 def reference():
     path = Path(__file__).parent / 'reference.json'
     return json.loads(path.read_text(encoding='utf-8'))
+
+
+@pytest.fixture(scope='session')
+def designed():
+    """Return what designs as `design` does, each plant once for all who ask the same of it."""
+    from vsensor_ros.designer import design  # which takes long to import
+    made = {}
+
+    def once(plant, fault_sets=None, progress=None, **choices):
+        with np.printoptions(floatmode='unique', threshold=sys.maxsize):
+            asked = repr((plant, fault_sets, sorted(choices.items())))
+        if asked not in made:
+            made[asked] = design(plant, fault_sets, progress=progress, **choices)
+        return made[asked]
+    return once
+
+
+@pytest.fixture
+def designed_once(monkeypatch, designed):
+    """Have the command `designer` design nothing that was designed in this process before."""
+    monkeypatch.setattr('vsensor_ros.command.designer.design', designed)

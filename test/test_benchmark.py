@@ -1,6 +1,7 @@
 """The benchmark's pieces run and give numbers. What the numbers are is not a test's business."""
 
 from dataclasses import replace
+from functools import partial
 import math
 import os
 from pathlib import Path
@@ -103,8 +104,10 @@ def test_tick_of_the_bank():
         '1 virtual sensor, nonlinear', '5 virtual sensors, nonlinear']
 
 
-def test_estimators_beside_filters():
+def test_estimators_beside_filters(monkeypatch):
     pytest.importorskip('filterpy')
+    monkeypatch.setattr(estimators, 'SCALES', (1.0, 1e1))
+    monkeypatch.setattr(estimators, 'STRENGTHS', (1.0, 1e2))
     told = []
     rows = estimators.measure(told.append, seconds=10.0, chosen=[2])
     assert_numbers(rows)
@@ -131,22 +134,24 @@ def test_the_peers_know_the_plant(case):
     assert known.jacobian(x) == pytest.approx(np.transpose(slopes), abs=1e-7)
 
 
-def test_design_times():
+def test_design_times(monkeypatch):
     pytest.importorskip('control')
+    monkeypatch.setattr(designer, 'PLANTS', 2)
     told = []
-    rows = designer.measure((6, 9), told.append)
+    rows = designer.measure((4, 6), told.append)
     assert_numbers(row for row in rows if not row.what.startswith('time grows'))
-    sizes = ['n = 6, 2 sensors', 'n = 9, 2 sensors']
+    sizes = ['n = 4, 2 sensors', 'n = 6, 2 sensors']
     assert [row.what for row in rows] == 2 * (
         [*sizes, 'time grows as n to the power', *sizes, *sizes])
     assert all(row.ours <= row.peer for row in rows if row.group.startswith('states to run'))
-    assert told[-1] == 'design of a network plant, n = 9, number 3'
+    assert told[-1] == 'design of a network plant, n = 6, number 2'
     assert designer.exponent({10: 3.0, 100: 300.0}) == pytest.approx(2.0)
     for make in designer.KINDS.values():
         assert np.linalg.eigvals(make(30, 0).A).real.max() < 0.0
 
 
 def test_a_part_alone(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(bank, 'measure', partial(bank.measure, sizes=(1,)))
     monkeypatch.setattr('benchmark.__main__.TICKS', 5)
     assert main(['--only', 'bank', '--output', str(tmp_path / 'all.json')]) == 0
     assert 'one tick of the bank' in capsys.readouterr().out

@@ -39,6 +39,7 @@ SENTENCES: dict[str, Sentence] = {
     'isolated': 'isolated',
     'duplicate stamp': 'duplicate stamp',
     'stamp runs backwards': 'stamp runs backwards',
+    'no angle': 'so many turns that its angle is lost',
     # of commands
     'command not used': '{name}: {why}, so the last one is not used; mend who commands it',
     'command of another clock': lambda name, seconds: f'{name}: its stamps are {_lead(seconds)} '
@@ -61,6 +62,19 @@ SENTENCES: dict[str, Sentence] = {
     'estimate not finite': 'its estimate is not finite',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
+    'not tracked yet': 'its channel was lost before it was known well enough to go on without it, '
+    'or it started anew since',
+    'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
+    'are kept',
+    'track lost': 'readings that it needs were missing since its channel was lost',
+    'served its time': 'served its time, until its channel is believed again: {why}',
+    'beyond the tolerance': 'its standard deviation {deviation:.3g} is above the tolerance '
+    '{limit:.3g}',
+    'beyond a tenth of the range': 'its standard deviation {deviation:.3g} is above a tenth of '
+    'the range, {limit:.3g}',
+    'no limit': 'it would serve for a time only, and no limit says for how long',
+    'worse than designed': 'it erred by {measured:.3g} beside the healthy sensor, more than '
+    '{limit:.3g}: it was designed for {figure:.3g}',
     # of faulty sensors: why they are not believed
     'silent': 'silent',
     'recovering': 'healthy again, believed after {dwell:g} s without a fault',
@@ -74,6 +88,9 @@ SENTENCES: dict[str, Sentence] = {
     'ready just now': 'was not ready until just now',
     'next best': '{exact}; that for {fault_set}: {next}',
     'served by a superset': '{why}; {exact}',
+    'serves early': '{why}; {left}',
+    'less sure': 'the design for {fault_set} is good to {deviation:.3g} only',
+    'had its time': 'it has served its time, until its channel is believed again',
     'force waits': 'force waits: {why}',
     'force waits for another': 'force waits: {harmed}: {why}',
     'force ended': 'force ended: {why}',
@@ -90,6 +107,7 @@ SENTENCES: dict[str, Sentence] = {
     'not in the message': '{field} is not in the message',
     'too short': 'the array is too short for {field}',
     'disowned': '{field} is marked as not there ({mark})',
+    'no rotation': 'the quaternion of {field} is no rotation: all zeros, or not normalised',
     'does not fit': '{value} does not fit into {field} ({type})',
     'only NaN': 'nothing but NaN arrives',
     'only NaN on': 'nothing but NaN arrives on {topic}',

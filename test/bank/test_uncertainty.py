@@ -1,7 +1,10 @@
 """Whether the truth lies within two standard deviations of the estimate as often as it should."""
 
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
@@ -9,6 +12,7 @@ from vsensor_ros.observers import Noise
 from vsensor_ros.plant import load_plant
 from vsensor_ros.simulate.simulate import readings, simulate
 
+pytestmark = pytest.mark.xdist_group('uncertainty')  # its designs are made once
 MS = 1_000_000
 
 
@@ -36,11 +40,11 @@ class Run:
                 bank.take(name, k * bank.period, value)
             bank.advance(k * bank.period)
             for i, key in enumerate(keys):
-                value = bank.estimate(*key)
-                if value is not None:
-                    self.error[k, i] = value - y[k, plant.sensors.index(key[1])]
-                    self.sigma[k, i] = bank.deviation(*key)
-                    self.ready[k, i] = bank.ready(*key)
+                found = bank.recall(*key, bank.time)  # of the run that never read the channel
+                if found is not None:
+                    self.error[k, i] = found[0] - y[k, plant.sensors.index(key[1])]
+                    self.sigma[k, i] = found[1]
+                    self.ready[k, i] = bank.waiting(*key) == 0.0
 
     def covered(self, start, end):
         """Return the share within two sigma, and the median sigma over the rms of the error."""
@@ -58,7 +62,8 @@ def servo():
 
 
 def drive(t):
-    return 2.0 * np.sin(t)
+    """Return a command that stands for 0.2 s: the truth is integrated from jump to jump."""
+    return 2.0 * np.sin(np.floor(5.0 * t + 1e-6) / 5.0)
 
 
 def friction(t):
@@ -66,7 +71,7 @@ def friction(t):
 
 
 def test_the_servo_from_an_unknown_start_to_a_steady_state(servo):
-    run = Run(*servo, 50.0, 60.0, drive, sigma=0.01, unknown=friction, x0=[0.3, 1.0, -0.4])
+    run = Run(*servo, 25.0, 60.0, drive, sigma=0.01, unknown=friction, x0=[0.3, 1.0, -0.4])
     first = run.ready.argmax(axis=0)
     for i, at in enumerate(first):  # while it converges
         assert at and (np.abs(run.error[:at, i]) <= 2 * run.sigma[:at, i]).mean() >= 0.9
@@ -78,7 +83,7 @@ def test_the_tank_in_its_region():
     plant = load_plant('config/three_tank/plant.yaml')
     made = design(plant)
     # only y1, which converges in seconds: what was measured counts after 30 time constants
-    run = Run(plant, made, 25.0, 80.0, lambda t: [0.5 + 0.3 * np.sin(t / 3), 0.2],
+    run = Run(plant, made, 12.5, 80.0, lambda t: [0.5 + 0.3 * np.sin(t // 1 / 3), 0.2],
               sigma=0.01, x0=[2.0, 1.4, 0.7])
     first = int(run.ready[:, 0].argmax())
     assert (np.abs(run.error[:first, 0]) <= 2 * run.sigma[:first, 0]).mean() >= 0.9
@@ -86,16 +91,25 @@ def test_the_tank_in_its_region():
     assert coverage.min() >= 0.9 and size[0] <= 5.0
 
 
+@cache
 def noisy_plant(seed):
-    """Make a stable plant of order 4 with 3 noisy sensors, its design, and its moving truth."""
+    """
+    Make a stable plant of order 4 with 3 noisy sensors, its design, and its moving truth.
+
+    The truth is a discrete plant at 50 Hz, which is exact: what acts on it is held meanwhile.
+    """
     rng = np.random.default_rng(100 + seed)
     A = rng.standard_normal((4, 4))
     A -= (np.linalg.eigvals(A).real.max() + 0.7) * np.eye(4)
     B, C = rng.standard_normal((4, 1)), rng.standard_normal((3, 4))
     plant = Plant.from_matrices(A, B, C, noise=[0.02, 0.03, 0.04], process_noise=[0.05] * 4,
                                 ranges=[[-1.0, 1.0]] * 4)
-    return plant, design(plant), lambda factor=1.0: Plant.from_matrices(factor * A, B, C,
-                                                                        D=np.eye(4))
+
+    def truth(factor=1.0):
+        held = np.hstack([factor * A, B, np.eye(4)])
+        sampled = expm(0.02 * np.vstack([held, np.zeros((5, 9))]))[:4]
+        return Plant.from_matrices(sampled[:, :4], sampled[:, 4:5], C, sampled[:, 5:], 0.02)
+    return plant, design(plant), truth
 
 
 def test_random_linear_plants():
@@ -114,20 +128,22 @@ def test_random_linear_plants():
     assert np.mean(converging) >= 0.9
 
 
-def test_a_model_that_is_wrong_shows_in_the_residuals():
-    plant, made, truth = noisy_plant(1)
-    run = Run(plant, made, 50.0, 40.0, lambda t: 5.0 * drive(t), sigma=plant.noise,
-              truth=truth(1.1))
+@pytest.mark.parametrize(('seed', 'factor'), [(1, 1.1), (1, 2.0), (3, 1.3)])
+def test_a_model_that_is_wrong_is_covered_within_seconds(seed, factor):
+    plant, made, truth = noisy_plant(seed)
+    run = Run(plant, made, 50.0, 15.0, lambda t: 5.0 * drive(t), sigma=plant.noise,
+              truth=truth(factor), seed=seed)
     expected = np.array([v.noise.error for v in made.virtual_sensors])
-    wrong = (np.abs(run.error[run.t >= 15.0]) > 2 * expected).mean(axis=0)
+    wrong = (np.abs(run.error[run.t >= 4.0]) > 2 * expected).mean(axis=0)
     assert wrong.max() > 0.3  # or there is nothing to show
-    coverage, size = run.covered(15.0, 40.0)
-    assert coverage.min() >= 0.9 and size.max() <= 5.0
+    for start, end, most in ((4.0, 6.0, 12.0), (6.0, 10.0, 2.5), (10.0, 15.0, 2.0)):
+        coverage, size = run.covered(start, end)
+        assert coverage.min() >= 0.9 and size.max() <= most
 
 
 def test_it_grows_while_a_reading_is_missing_until_there_is_none(servo):
     plant, made = servo
-    run = Run(plant, made, 50.0, 26.0, drive, sigma=0.01, unknown=friction, max_age=1.0,
+    run = Run(plant, made, 25.0, 26.0, drive, sigma=0.01, unknown=friction, max_age=1.0,
               silent=('y3', 20.0, 25.0), x0=[0.3, 1.0, -0.4])
     i = [v.channel for v in made.virtual_sensors].index('y2')  # which reads y3
     before, missing = (run.t >= 15.0) & (run.t < 20.0), (run.t >= 20.2) & (run.t < 20.9)
@@ -137,7 +153,7 @@ def test_it_grows_while_a_reading_is_missing_until_there_is_none(servo):
     assert run.sigma[missing, i].max() < 5 * np.abs(run.error[missing, i]).max()
     gone = (run.t >= 21.1) & (run.t < 25.0)
     assert np.isnan(run.error[gone, i]).all()
-    back = run.t >= 25.02
+    back = run.t >= 25.04
     assert not run.ready[back, i][:10].any()
 
 
@@ -192,7 +208,7 @@ def test_a_reading_that_is_only_held_is_not_compared(lag):
             bank.take('y1', now * MS, value)
         bank.take('y2', now * MS, value)
         bank.advance(now * MS)
-        if now == 4990:
+        if now == 24_990:
             follows = bank.deviation(*KEY)
     assert bank.deviation(*KEY) == pytest.approx(follows, rel=0.2)
 
@@ -214,11 +230,11 @@ def test_what_a_gap_did_dies_out_with_the_observer(bench):
 
 def test_a_reading_that_rests_may_move_as_it_did_before(lag):
     bank = lag(1.0, noise=Noise(0.001, 0.0, False))
-    for now in range(0, 250_000, 10):
+    for now in range(0, 130_000, 10):
         if now % 100 == 0 or now < 30_000:
             bank.take('y2', now * MS, 3.0 * min(now / 1e3, 25.0))
             bank.advance(now * MS)
-    for now in range(250_000, 250_510, 10):
+    for now in range(130_000, 130_510, 10):
         bank.advance(now * MS)
     assert bank.deviation(*KEY) == pytest.approx(1.8, rel=0.1)
 

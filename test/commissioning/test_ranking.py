@@ -1,9 +1,12 @@
 """Which field is taken for which sensor, and why; candidates as a graph would have them."""
 
 from dataclasses import replace
+import math
 
+from nav_msgs.msg import Odometry
 import pytest
 
+from vsensor_ros.commissioning.candidates import leaves
 from vsensor_ros.commissioning.ranking import assign, Candidate, rank, score, Wanted
 
 MEASURED = {'heard': 100, 'found': 100, 'low': -1.0, 'high': 1.0, 'rate': 50.0}
@@ -54,6 +57,24 @@ def best(wanted, candidates):
 def test_a_gyro_is_the_vertical_axis_of_the_imu():
     found = best([sensor('gyro', 'rad/s')], [*imu('/imu/data'), *twist('/cmd_vel', listened=True)])
     assert found == {'gyro': ('/imu/data', 'angular_velocity.z', True)}
+
+
+@pytest.mark.parametrize('name, field', [
+    ('heading', 'yaw'), ('yaw', 'yaw'), ('theta', 'yaw'), ('tilt_pitch', 'pitch')])
+def test_a_heading_is_the_yaw_of_an_orientation(name, field):
+    candidates = [*imu('/imu'), *(Candidate('/imu', 'sensor_msgs/msg/Imu', f'{angle}(orientation)',
+                                            ('rad',), **MEASURED)
+                                  for angle in ('roll', 'pitch', 'yaw'))]
+    assert best([sensor(name, 'rad')], candidates)[name] == ('/imu', f'{field}(orientation)', True)
+
+
+def test_an_orientation_has_three_angles():
+    message = Odometry()
+    message.pose.pose.orientation.z = message.pose.pose.orientation.w = 0.5**0.5
+    found = {leaf.path: leaf for leaf in leaves(message)}
+    yaw, roll = (found[f'{name}(pose.pose.orientation)'] for name in ('yaw', 'roll'))
+    assert (yaw.value, roll.value) == pytest.approx((math.pi / 2, 0.0))
+    assert yaw.units == ('rad',)
 
 
 @pytest.mark.parametrize('name, field', [

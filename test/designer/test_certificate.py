@@ -21,7 +21,7 @@ from vsensor_ros.observers import Limit, VirtualSensor
 
 REFERENCE = json.loads((Path(__file__).parents[1] / 'reference.json').read_text())
 TANK = REFERENCE['b_tank_continuous']
-FEW = settings(max_examples=15, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=8, suppress_health_check=list(HealthCheck))
 
 
 def observer(plant, Phi, N, J, Cv, Q, Gz=(), Gy=(), P=None):
@@ -366,7 +366,7 @@ STEEP = {'sign(w1)': (0.0, 1e9), 'sqrt(w1)': (0.0, 1e9), 'w1*abs(w1)': (0.0, 1e9
          'sat(w1, -1, 1)': (0.0, 1.0)}
 
 
-@settings(FEW, max_examples=15)
+@FEW
 @given(seed=st.integers(0, 2**32 - 1), discrete=st.booleans(), many=st.booleans())
 def test_no_slopes_in_their_bounds_break_the_inequality(seed, discrete, many):
     (plant, sensor), rng = random_case(seed, discrete, q=10 if many else None)

@@ -93,19 +93,19 @@ def check_terms(problem):
     return verdict
 
 
-@settings(max_examples=120)
+@settings(max_examples=50)
 @given(problems())
 def test_orders_and_freedom_are_those_of_the_definition(problem):
     check_orders(problem)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(problems(largest=4, terms=3))
 def test_forced_terms_are_those_of_all_sets_tried(problem):
     check_terms(problem)
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(1 - 10**12, 10**12 - 1), st.integers(-290, 290)),
                 min_size=1))
 def test_residues_are_those_of_the_decimals(decimals):

@@ -9,8 +9,8 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.observers import Refusal, VirtualSensor
 
 
-def only(plant, fault_set, channel):
-    return design(plant, [fault_set])[fault_set, channel]
+def only(plant, fault_set, channel, **choices):
+    return design(plant, [fault_set], **choices)[fault_set, channel]
 
 
 def test_a_weak_coupling_of_a_stiff_plant_is_not_taken_for_rounding():
@@ -38,7 +38,8 @@ def test_slow_and_stiff_stable_plants_are_stable(A):
 @pytest.mark.parametrize('A', [[[0, 1], [0, 0]], [[0]], [[1e-14, 0], [0, -1]]])
 def test_integrators_are_not(A):
     plant = Plant.from_matrices(A, None, np.eye(len(A)))
-    assert isinstance(only(plant, plant.sensors, 'y1'), Refusal)
+    assert isinstance(only(plant, plant.sensors, 'y1', temporary=False), Refusal)
+    assert only(plant, plant.sensors, 'y1').grade == 'temporary'
 
 
 @pytest.mark.parametrize('text', ['2*w1', 'tanh(3*w1)'])
@@ -86,7 +87,7 @@ def test_units_do_not_change_the_answer():
 
 def test_refusals_read_well_when_no_sensor_is_left():
     integrator = Plant.from_matrices([[0]], None, [[1]], states=['angle'])
-    assert only(integrator, ('y1',), 'y1').reason.startswith(
+    assert only(integrator, ('y1',), 'y1', temporary=False).reason.startswith(
         'no sensor is left for the mode of real part 0 in angle')
     two = Plant.from_matrices([[-1]], None, [[1]], [[1, 2]], disturbances=['wind', 'load'])
     assert only(two, ('y1',), 'y1').reason == (

@@ -86,10 +86,10 @@ def exists(entry):
 @settings(max_examples=6)
 @given(plants())
 def test_as_designs_with_the_sensor_really_added(plant):
-    sets = design(plant, up_to=2).fault_sets
-    before = design(plant, sets)
+    sets = design(plant, up_to=2, temporary=False).fault_sets
+    before = design(plant, sets, temporary=False)
     for place in locations(plant, up_to=2):
-        after = design(wider(plant, place.row), sets)
+        after = design(wider(plant, place.row), sets, temporary=False)
         expected = {key for key, entry in before.entries.items()
                     if not exists(entry) and exists(after.entries[key])}
         assert set(place.gained) == expected

@@ -6,6 +6,7 @@ from hypothesis import given, strategies as st
 import pytest
 
 from vsensor_ros.engine import Bumpless
+from vsensor_ros.engine.channel import Channel
 
 SECOND = 1_000_000_000
 VALUES = st.floats(-1e6, 1e6)
@@ -80,3 +81,16 @@ def test_a_new_time_constant_makes_no_step():
 def test_a_time_constant_that_is_none_is_refused(wrong):
     with pytest.raises(ValueError, match=f'^time_constant: {wrong} is not a time'):
         Bumpless(wrong)
+
+
+def test_a_surer_virtual_sensor_is_not_burdened_by_the_error_of_the_one_before():
+    def offset_after(before, deviation, source='virtual', above=None):
+        channel = Channel('y', SECOND, Bumpless(0.5))
+        channel.serve(source, ('y', 'z') if source == 'virtual' else (), 5.0, 0, None, before)
+        output = channel.serve('virtual', ('y',), 4.0, 0, above, deviation)
+        return output - 4.0
+    assert offset_after(0.17, 0.01) == pytest.approx(0.01)
+    assert offset_after(0.17, 0.01, above=-2.0) == pytest.approx(-0.01)
+    assert offset_after(2.0, 1.5) == 1.0  # within what the new one may be off anyway
+    assert offset_after(0.1, 0.2) == offset_after(math.inf, math.inf) == 1.0  # no surer: no step
+    assert offset_after(0.0, 0.2, 'real') == 1.0

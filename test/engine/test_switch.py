@@ -35,10 +35,11 @@ ALL = 'a/a b/b c/c ab/a ab/b ac/a ac/c bc/b bc/c'
 
 
 class Run:
-    """A switch, a clock [s] and the virtual sensors that are not ready."""
+    """A switch, a clock [s], the virtual sensors that are not ready, and how sure all are."""
 
     def __init__(self, design, **policies):
         self.switch, self.now, self.unready = Switch.of(design, policies), 0.0, {}
+        self.deviations, self.converging = {}, ()  # of 1 those not named; by deviation, too
         self.switches = [0] * len(NAMES)  # how often each channel was given to another
         self._served = self._servers()
 
@@ -53,12 +54,24 @@ class Run:
 
     def decide(self, after=0.0):
         self.now += after
-        self.switch = self.switch.decide(
-            round(self.now * SECOND), lambda key, s: f'{"".join(key)}/{s}' not in self.unready,
-            lambda key, s: (lack := self.unready.get(f'{"".join(key)}/{s}')) and Reason.of(
-                'refused', text=lack))
+        self.switch = self.switch.decide(round(self.now * SECOND), self)
         self._count()
         return self.shown
+
+    def ready(self, key, s):
+        return f'{"".join(key)}/{s}' not in {*self.unready, *self.converging}
+
+    def converges(self, key, s):
+        return f'{"".join(key)}/{s}' in self.converging
+
+    def deviation(self, key, s):
+        return self.deviations.get(f'{"".join(key)}/{s}', 1.0)
+
+    def why_not(self, key, s):
+        if self.converges(key, s):
+            return Reason.of('converging', seconds=1.5)
+        return (lack := self.unready.get(f'{"".join(key)}/{s}')) and Reason.of(
+            'refused', text=lack)
 
     @property
     def shown(self):
@@ -114,6 +127,88 @@ def test_a_superset_serves_until_the_exact_set_is_ready(build):
     assert run.decide(0.1) == ['ac', '', '']  # as good as the one that serves
     run.unready = {}
     assert run.decide(0.1) == ['a', '', ''] and run.switches == [2, 0, 0]
+
+
+def test_the_surest_serves(build):
+    run = Run(build(ALL))
+    run.deviations = {'a/a': 0.1, 'ab/a': 0.09, 'ac/a': 0.3}
+    assert run.isolate('a') == ['a', '', '']  # the smaller one, unless another is a fifth better
+    run = Run(build(ALL))
+    run.deviations = {'a/a': 0.1, 'ab/a': 0.06, 'ac/a': 0.03}
+    assert run.isolate('a') == ['ac', '', '']
+    assert run.why('a') == 'isolated; the design for a is good to 0.1 only'
+
+
+def test_who_is_ready_first_with_a_bad_estimate_waits_for_nobody_but_gives_way(build):
+    run = Run(build('a/a ab/a'))
+    run.unready, run.deviations = {'a/a': 'no start known'}, {'ab/a': 0.17}
+    assert run.isolate('a') == ['ab', '', '']
+    run.unready, run.converging = {}, ('a/a',)
+    assert run.decide(0.1) == ['ab', '', '']  # 1: what is left of its start
+    run.deviations['a/a'] = 0.16
+    assert run.decide(0.01) == ['a', '', '']  # though it still converges
+    assert run.why('a') == 'isolated; converging, 1.5 s more'
+    run.unready = {'ab/a': 'c silent for 1.0 s'}
+    assert run.decide(1.0) == ['a', '', '']
+    run.converging = ()
+    assert run.decide(1.0) == ['a', '', ''] and run.switches == [2, 0, 0]
+    assert run.why('a') == 'isolated'
+
+
+def test_nobody_that_still_converges_serves_where_nobody_is_ready_or_known(build):
+    run = Run(build('a/a ab/a'))
+    run.unready, run.converging = {'ab/a': 'c silent for 1.0 s'}, ('a/a',)
+    assert run.isolate('a') == ['!', '', '']
+    run.unready, run.deviations = {}, {'ab/a': float('inf')}
+    assert run.decide(0.1) == ['ab', '', '']  # may be surer than it knows
+    run.converging = ()
+    assert run.decide(0.1) == ['a', '', '']
+
+
+def test_deviations_that_come_and_go_do_not_whip_the_output(build):
+    run = Run(build('a/a ab/a'))
+    run.deviations = {'a/a': 0.1, 'ab/a': 0.11}
+    run.isolate('a')
+    for i in range(100):  # a reading that comes late now and then
+        run.deviations['a/a'] = 0.3 if i % 4 == 0 else 0.1
+        run.decide(0.1)
+    assert run.shown == ['a', '', ''] and run.switches == [1, 0, 0]
+    run.deviations['a/a'] = 0.3
+    run.decide(0.01)
+    assert run.decide(0.49) == ['a', '', ''] and run.decide(0.01) == ['ab', '', '']
+    run.deviations['a/a'] = 0.109  # no worse, and reads more
+    assert run.decide(0.01) == ['ab', '', ''] and run.decide(0.5) == ['a', '', '']
+    run.deviations['ab/a'] = 0.08
+    run.decide(0.01)
+    run.now = 0.0
+    assert run.decide() == ['a', '', '']  # a clock that was set back
+    assert run.decide(0.5) == ['ab', '', '']
+
+
+def test_a_temporary_one_that_served_its_time_does_not_come_back(build):
+    design = build('a/a ab/a')
+    design.entries[('a',), 'a'] = replace(design['a', 'a'], grade='temporary')
+    run = Run(design)
+    run.deviations = {'ab/a': 2.0}
+    assert run.isolate('a') == ['a', '', '']
+    run.unready = {'a/a': 'too uncertain'}
+    assert run.decide(1.0) == ['ab', '', '']
+    run.unready = {}
+    assert run.decide(100.0) == ['ab', '', '']
+    assert run.why('a') == 'isolated; it has served its time, until its channel is believed again'
+    run.isolate('')
+    assert run.decide(2.0) == ['', '', ''] and run.isolate('a') == ['a', '', '']
+
+
+def test_a_force_waits_for_the_better_one_that_converges(build):
+    run = Run(build('a/a ab/a'))
+    run.converging, run.deviations = ('a/a',), {'ab/a': 0.17}
+    assert run.force('a') == ['', '', '']  # the live one is better than either
+    assert run.why('a').startswith('force waits: converging, 1.5 s more')
+    run.converging = ()
+    assert run.decide(1.5) == ['ab', '', '']  # by its deviation
+    run.converging = ('a/a',)
+    assert run.decide(1.5) == ['ab', '', ''] and run.switch.forced == {'a'}
 
 
 def test_no_set_is_served_by_a_design_for_a_smaller_one(build):

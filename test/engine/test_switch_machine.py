@@ -8,6 +8,7 @@ from hypothesis.stateful import initialize, rule, RuleBasedStateMachine, run_sta
 
 from vsensor_ros.engine import Policy, Source, Switch
 from vsensor_ros.observers import Design, Refusal
+from vsensor_ros.reason import Reason
 
 NAMES = ('a', 'b', 'c', 'd')
 SECOND = 1_000_000_000
@@ -57,12 +58,15 @@ class Machine(RuleBasedStateMachine):
         entries = {key: self.serve(*key) if key in self.there else
                    Refusal(key[1], key[0], 'cannot be seen') for key in KEYS if key not in missing}
         self.design = Design('test', '0', ('x1',), (), NAMES, {}, None, entries)
-        self.ready = set(self.there)
+        self.able = set(self.there)
+        self.starting = set()  # of those that are not ready
+        self.deviations = dict.fromkeys(self.there, 1.0)
         self.policies, self.now = policies, 1000 * SECOND
         self.switch = Switch.of(self.design, policies)
         self.accounts = {s: Account() for s in NAMES}
         self.reported = self.silent = frozenset()
         self.gone = {}  # by key: since it was given up in this fault, (when, ready) at decisions
+        self.better = {}  # by channel: who is ready beside who serves, and since when better
 
     # ------------------------------------------------------------------------------ events
 
@@ -137,7 +141,7 @@ class Machine(RuleBasedStateMachine):
     @rule(seen=SEEN)
     def reset(self, seen):
         self.happen('reset', self.now)
-        self.gone = {}
+        self.gone, self.better = {}, {}
         for account in self.accounts.values():
             if account.log[-1][0] == 'well':
                 account.log.append(('pardon', self.now))
@@ -157,19 +161,39 @@ class Machine(RuleBasedStateMachine):
     @rule(keys=st.one_of(st.just(KEYS), st.lists(st.sampled_from(KEYS), min_size=4, max_size=16)),
           ready=st.sampled_from([False, False, True]), seen=SEEN)
     def change_readiness(self, keys, ready, seen):
-        self.ready = self.ready | self.there & {*keys} if ready else self.ready - {*keys}
+        self.able = self.able | self.there & {*keys} if ready else self.able - {*keys}
+        self.decide(seen)
+
+    @rule(keys=st.lists(st.sampled_from(KEYS), max_size=16), seen=SEEN)
+    def change_who_knows_how_it_starts(self, keys, seen):
+        self.starting = self.there & {*keys}
+        self.decide(seen)
+
+    @rule(keys=st.one_of(st.just(KEYS), st.lists(st.sampled_from(KEYS), min_size=1, max_size=16)),
+          deviation=st.sampled_from([0.5, 0.7, 0.79, 0.81, 1.0, 1.3, float('inf')]), seen=SEEN)
+    def change_deviations(self, keys, deviation, seen):
+        self.deviations.update(dict.fromkeys(self.there & {*keys}, deviation))
         self.decide(seen)
 
     # ----------------------------------------------------------------------------- decisions
 
-    def is_ready(self, key, s):
-        return (key, s) in self.ready
+    def ready(self, key, s):
+        return (key, s) in self.able
+
+    def converges(self, key, s):
+        return (key, s) in self.starting - self.able and self.deviations[key, s] < float('inf')
+
+    def deviation(self, key, s):
+        return self.deviations[key, s]
 
     def why_not(self, key, s):
-        return None if (key, s) in self.ready else 'converging'
+        if (key, s) in self.able:
+            return None
+        return Reason.of('converging', seconds=1.0) if (key, s) in self.starting else \
+            Reason.of('refused', text='not now')
 
     def look(self, switch):
-        return switch.decide(self.now, self.is_ready, self.why_not)
+        return switch.decide(self.now, self)
 
     @rule(step=STEPS, seen=SEEN)
     def pass_time(self, step, seen):
@@ -198,13 +222,27 @@ class Machine(RuleBasedStateMachine):
             self.check_reserve(s, new)
         self.check_forces(old, new, core)
         self.gone = {key: log for key, log in self.gone.items() if self.waits(*key)}
+        self.better = {s: self.compare(s, new.decisions[s].fault_set, new.faulty)
+                       for s in new.faulty if new.decisions[s].fault_set}
+
+    def compare(self, s, present, faulty):
+        """Note who else is ready, and since when it would be the better one."""
+        before = {key: since and min(since, self.now)
+                  for key, since in self.better.get(s, {}).items()}
+        return {key: (before.get(key) or self.now) if self.beats(key, present, s) else None
+                for key in self.may(faulty, s) - {present}}
+
+    def beats(self, key, present, s):
+        own, other = self.deviations[key, s], self.deviations[present, s]
+        return own < 0.8 * other or (own <= other and len(key) < len(present))
 
     def give_up(self, old):
         for (key, s), log in self.gone.items():
             log[:] = [(min(when, self.now), ready) for when, ready in log]
-            log.append((self.now, (key, s) in self.ready))
+            log.append((self.now, (key, s) in self.able))
         for s, d in old.decisions.items():
-            if d.fault_set and old.faulty <= {*d.fault_set} and (d.fault_set, s) not in self.ready:
+            if d.fault_set and old.faulty <= {*d.fault_set} and \
+                    not (self.ready(d.fault_set, s) or self.converges(d.fault_set, s)):
                 self.gone[d.fault_set, s] = [(self.now, False)]
 
     def waits(self, key, s):
@@ -221,23 +259,46 @@ class Machine(RuleBasedStateMachine):
         d, before = new.decisions[s], old.decisions[s]
         assert '\n' not in str(d.reason)
         may = self.may(new.faulty, s)
+        stays = set(before.fault_set) >= new.faulty and not self.waits(before.fault_set, s) and (
+            self.ready(before.fault_set, s) or self.converges(before.fault_set, s))
         if s not in new.faulty:
             assert (d.source, d.fault_set) == (Source.REAL, ())
         elif d.source is Source.VIRTUAL:
-            assert d.fault_set in may and d.reason
+            assert (may or stays) and new.faulty <= {*d.fault_set} and d.reason
+            assert not self.waits(d.fault_set, s)
         else:
-            assert d.source is Source.NONE and d.fault_set == () and d.reason and not may
-        if s in new.faulty and before.fault_set in may:
-            assert d.fault_set == before.fault_set or set(d.fault_set) == new.faulty
-        elif d.source is Source.VIRTUAL:
-            assert len(d.fault_set) == min(map(len, may))
+            assert d.source is Source.NONE and d.fault_set == () and d.reason
+            assert not may and not stays
+            return
+        if s in new.faulty:
+            self.check_choice(s, before.fault_set if stays else None, d.fault_set, may)
+
+    def check_choice(self, s, present, chosen, may):
+        """Compare who serves with the others that may; present: who does, if it may go on."""
+        if chosen not in may and chosen != present:
+            assert self.converges(chosen, s) and any(
+                self.beats(chosen, key, s) for key in may | {present} - {None})
+        if present is None:  # anew: the best, or as good as that
+            assert all(0.8 * self.deviations[chosen, s] <= self.deviations[key, s] for key in may)
+        elif chosen != present:
+            assert self.beats(chosen, present, s)
+            if chosen in self.better.get(s, {}) and chosen in may:
+                since = self.better[s][chosen]
+                assert since is not None and self.now - since >= SECOND // 2
+        else:
+            for key in may - {present}:
+                if self.beats(key, present, s):  # only just
+                    assert key in self.better[s]
+                    assert self.better[s][key] is None or \
+                        self.now - self.better[s][key] < SECOND // 2
 
     def check_reserve(self, s, switch):
         """Compare what is told beforehand with what would happen."""
-        would = self.look(switch.isolate(switch.reported | {s}, self.now)).decisions[s]
-        lack = switch.reserve(s, self.now, self.is_ready, self.why_not)
-        assert (lack is None) == (would.source is Source.VIRTUAL)
-        assert lack is None or switch.forced or str(lack) == str(would.reason)
+        failing = replace(switch.isolate(switch.reported | {s}, self.now), told=None)
+        would = self.look(failing).decisions[s]
+        told = switch.reserve(s, self.now, self)
+        assert (told.source, told.fault_set) == (would.source, would.fault_set)
+        assert told.source is Source.VIRTUAL or str(told.reason) == str(would.reason)
 
     def check_forces(self, old, new, core):
         for s in NAMES:
@@ -247,13 +308,15 @@ class Machine(RuleBasedStateMachine):
                 assert (s in new.forced) != (old.decisions[s].source is Source.VIRTUAL)
                 assert str(new.decisions[s].reason).startswith('force ')
                 everyone = new.faulty | {s}
-                assert any(not self.may(everyone, c) for c in everyone)
+                assert any(not self.may(everyone, c) for c in everyone) or any(
+                    key in self.starting - self.able and everyone <= {*key[0]} and key[1] == s
+                    for key in self.there)
         for s in core:  # nobody lost its virtual sensor to a force
             if new.decisions[s].source is Source.NONE:
                 assert self.may(core, s, self.there) == self.may(new.faulty, s, self.there)
 
     def may(self, faulty, s, among=None):
-        return {key for key, c in (self.ready if among is None else among)
+        return {key for key, c in (self.able if among is None else among)
                 if c == s and set(key) >= set(faulty)
                 and (among is not None or not self.waits(key, s))}
 

@@ -136,7 +136,8 @@ def test_a_failover_in_real_processes(short_servo, capsys, monkeypatch):
 def assert_plots(known, design):
     """Check that each curve of the layout for PlotJuggler is of something that is published."""
     known |= {f'/replacer/estimates/{name}/{key}' for (_, name), entry in design.entries.items()
-              if isinstance(entry, VirtualSensor) for key in ('value', 'deviation', 'offset')}
+              if isinstance(entry, VirtualSensor) for key in (
+                  'value', 'deviation', 'offset', 'reading', 'reserve', 'reserve_deviation')}
     for port in wiring_of(read_parameters(CONFIG / 'servo' / 'replacer.yaml')).ports.values():
         array, _, joint = port.field.path.partition('[')
         known |= {f'{topic}/{joint[:-1]}/{array}' for topic in (port.source, port.output)}

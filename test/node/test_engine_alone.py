@@ -12,7 +12,8 @@ from vsensor_ros.node import replacer as node_module
 RANGE, JOINTS = 'sensor_msgs/msg/Range', 'sensor_msgs/msg/JointState'
 ASKED = ('look', 'resume', 'activate', 'judge', 'failed_templates', 'learn', 'unreadable',
          'command', 'count', 'isolate', 'force', 'release', 'clear', 'reset', 'apply', 'ticks',
-         'send_at', 'tick', 'done', 'remarks', 'changed', 'heard_any', 'snapshot')
+         'send_at', 'tick', 'done', 'remarks', 'changed', 'heard_any', 'snapshot',
+         'reserves')
 
 
 class Recorded(Engine):

@@ -155,3 +155,33 @@ def test_a_busy_computer_withholds_and_refuses_nothing(rig, parameters):
     r.replacer.engine.look = look
     r.spin()
     assert r.values(heard) == list(range(100)) and not r.told()['y2'].counts
+
+
+def test_who_spoke_before_simulated_time_began_has_not_been_silent_since(rig, parameters):
+    """A replacer that joins a running simulation: readings are there sooner than the time."""
+    r = rig({**parameters, 'silent_sensor': 'replace', 'recovery.dwell': 2.0}, clock=False)
+    heard = r.listen(RANGE, '/y2')
+    for _ in range(3):  # at 1000 s of simulated time, which nobody has told us yet
+        r.now += PERIOD
+        for name in ('y1', 'y2', 'y3'):
+            r.send(r.now, 0.5, f'/{name}_raw')
+    r.step()  # now somebody does; the next readings come a period later
+    assert r.replacer.snapshot().faulty == ()
+    r.step(*r.healthy(), periods=20)
+    assert r.replacer.snapshot().faulty == ()
+    assert {c.source for c in r.told().values()} == {'real'}
+    assert r.spin_until(lambda: len(heard) == 23)  # nothing was held back
+    rest = r.healthy()
+    r.step(rest[0], rest[2], periods=55)  # one that falls silent afterwards is
+    assert r.replacer.snapshot().faulty == ('y2',)
+
+
+def test_nobody_is_silent_because_the_clock_jumped_ahead(rig, parameters):
+    r = rig({**parameters, 'silent_sensor': 'replace', 'max_jump': 1.0})
+    r.step(*r.healthy(), periods=5)
+    r.now += 60 * SECOND
+    r.step(periods=10)
+    assert r.replacer.snapshot().jumps == {'forwards': 1}
+    assert r.replacer.snapshot().faulty == ()
+    r.step(periods=45)  # but who says nothing for max_age after it is
+    assert r.replacer.snapshot().faulty == ('y1', 'y2', 'y3')

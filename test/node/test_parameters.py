@@ -65,7 +65,7 @@ def test_what_was_given_and_the_defaults(start, parameters):
     live = settings.live
     assert (live.without_estimate, live.time_constant) == ('stop', 0.5)
     assert live.policies == dict.fromkeys(('y1', 'y2', 'y3'), Policy('automatic', 2.0, False))
-    assert live.max_deviation == dict.fromkeys(('y1', 'y2', 'y3'), 0.0)
+    assert live.max_deviation == dict.fromkeys(('y1', 'y2', 'y3'))  # follow from the design
 
 
 def test_one_sensor_may_have_its_own(start, parameters):
@@ -73,11 +73,12 @@ def test_one_sensor_may_have_its_own(start, parameters):
         **parameters, 'recovery.policy': 'hold', 'recovery.dwell': 5, 'silent_sensor': 'replace',
         'max_deviation': 0.1, 'max_age': 1, 'autostart': False, 'sensors.y1.recovery': 'latched',
         'sensors.y1.dwell': 0, 'sensors.y2.silent': 'wait', 'sensors.y2.max_deviation': 0.0,
-        'sensors.y3.max_age': 4.0, 'sensors.y3.dwell': '', 'sensors.y3.recovery': ''}))
+        'sensors.y3.max_deviation': 'auto', 'sensors.y3.max_age': 4.0, 'sensors.y3.dwell': '',
+        'sensors.y3.recovery': ''}))
     assert settings.live.policies == {
         'y1': Policy('latched', 0.0, True), 'y2': Policy('hold', 5.0, False),
         'y3': Policy('hold', 5.0, True)}
-    assert settings.live.max_deviation == {'y1': 0.1, 'y2': 0.0, 'y3': 0.1}
+    assert settings.live.max_deviation == {'y1': 0.1, 'y2': 0.0, 'y3': None}
     assert settings.max_age == {'y1': 1.0, 'y2': 1.0, 'y3': 4.0}
     assert not settings.autostart
 
@@ -147,6 +148,7 @@ def test_a_slow_node_allows_the_clock_longer_steps(start, parameters):
     ({'max_age': float('inf')}, 'max_age: inf is out of range'),
     ({'time_constant': -1.0}, 'time_constant: -1 is out of range; choose from 0 to 3600'),
     ({'max_deviation': -1.0}, 'max_deviation: -1 is out of range'),
+    ({'max_deviation': 'none'}, "max_deviation: 'none' is not a number"),
     ({'recovery.policy': 'auto'}, "recovery.policy: 'auto' is not a choice; choose from automat"),
     ({'recovery.dwell': ''}, "recovery.dwell: '' is not a number; give"),
     ({'recovery': 'hold'}, 'recovery: there is no such parameter; did you mean recovery.'),

@@ -9,6 +9,7 @@ import pytest
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState, Range
 
+from vsensor_ros.engine import Engine
 from vsensor_ros.node.cdr import decode
 
 RANGE = 'sensor_msgs/msg/Range'
@@ -222,7 +223,8 @@ def test_an_estimate_too_uncertain_is_not_sent(rig, parameters):
     r.isolate('y2')
     r.step(*r.healthy(), periods=3)
     told = r.told()['y2']
-    assert told.source == 'virtual' and 0.01 < told.deviation < 0.013  # 0.02 / sqrt(3) = 0.0115
+    # 0.02 / sqrt(3) = 0.0115, and a bound of it after so little
+    assert told.source == 'virtual' and 0.01 < told.deviation < 0.017
     assert decode(Range, heard[-1]).variance == pytest.approx(told.deviation ** 2, rel=1e-6)
     count = len(heard)
     r.replacer.apply(replace(r.replacer.settings.live, max_deviation={
@@ -230,6 +232,26 @@ def test_an_estimate_too_uncertain_is_not_sent(rig, parameters):
     r.step(*r.healthy(), periods=3)
     told = r.told()['y2']
     assert told.source == 'none' and 'max_deviation' in told.reason and len(heard) == count
+
+
+def test_by_default_an_estimate_beyond_a_tenth_of_the_range_is_not_sent(
+        rig, parameters, plan, tmp_path):
+    replace(plan, ranges={'y2': (-0.05, 0.05)}).save(tmp_path / 'design.json')
+    r = rig({**parameters, 'design_file': str(tmp_path / 'design.json')})
+    heard = r.listen(RANGE, '/y2')
+    for n in np.random.default_rng(1).uniform(-0.01, 0.01, LONG):
+        r.step(*r.healthy(y1=0.5 + n))  # as above: it is good to more than 0.01
+    before = r.told()['y2'].reserve
+    assert before.code == 'beyond a tenth of the range' and before.fact('limit') == 0.01
+    r.isolate('y2')
+    r.step(*r.healthy(), periods=3)
+    told = r.told()['y2']
+    assert told.source == 'none' and 'above a tenth of the range, 0.01' in str(told.reason)
+    assert r.spin_until(lambda: len(heard) == LONG)
+    limits = {'y1': None, 'y2': 0.0, 'y3': None}
+    r.replacer.apply(replace(r.replacer.settings.live, max_deviation=limits))
+    r.step(*r.healthy(), periods=3)
+    assert r.told()['y2'].source == 'virtual'
 
 
 def test_a_silent_sensor_is_replaced_when_that_is_wanted(rig, parameters):
@@ -248,20 +270,55 @@ def test_a_silent_sensor_is_replaced_when_that_is_wanted(rig, parameters):
     assert np.all(np.diff(r.stamps(heard)) > 0)
 
 
+def said_of(raw, *keys):
+    """Return what a message on ~/estimates says of each channel with these keys, all of them."""
+    facts = {s.name: (s.message, {v.key: float(v.value) for v in s.values})
+             for s in decode(DiagnosticArray, raw).status}
+    return {name: said for name, said in facts.items() if list(said[1]) == list(keys)}
+
+
 def test_what_went_out_is_told_to_who_listens(rig, parameters):
     r, heard = started(rig, parameters)
     told = r.listen('diagnostic_msgs/msg/DiagnosticArray', '/replacer/estimates',
                     ReliabilityPolicy.BEST_EFFORT)
     r.step(*r.healthy(y2=1.2), periods=2)
-    assert not told
+    keys = 'value', 'deviation', 'offset'
+    assert not [raw for raw in told if said_of(raw, *keys)]
     r.isolate('y2')
     r.step(*r.healthy(), periods=5)
-    assert r.spin_until(lambda: len(told) == 6)
-    for message, raw in zip((decode(DiagnosticArray, raw) for raw in told), heard[LONG + 2:]):
-        (status,) = message.status
-        facts = {v.key: float(v.value) for v in status.values}
-        assert status.name == 'y2' and facts['value'] == pytest.approx(
+    assert r.spin_until(lambda: len([raw for raw in told if said_of(raw, *keys)]) == 6)
+    for said, raw in zip(filter(None, (said_of(raw, *keys) for raw in told)), heard[LONG + 2:]):
+        (name, (_, facts)), = said.items()
+        assert name == 'y2' and facts['value'] == pytest.approx(
             decode(Range, raw).range, abs=1e-6)
         assert facts['value'] - facts['offset'] == pytest.approx(1.0, abs=1e-9)
         assert math.isfinite(facts['deviation'])
     assert r.replacer.snapshot().estimates == 6
+
+
+def test_reserves_are_told_beside_the_readings_while_somebody_listens(rig, parameters,
+                                                                      monkeypatch):
+    asked = []
+    reserves = Engine.reserves
+    monkeypatch.setattr(Engine, 'reserves', lambda engine: asked.append(1) or reserves(engine))
+    r, _ = started(rig, parameters)
+    assert not asked  # nobody listens, nothing is computed
+    told = r.listen('diagnostic_msgs/msg/DiagnosticArray', '/replacer/estimates',
+                    ReliabilityPolicy.BEST_EFFORT)
+    assert r.spin_until(lambda: r.replacer.estimates.listeners())
+    r.command(0.5)
+    r.step(*r.healthy(y2=1.2), periods=40)  # y2 is off by 0.2 of what y1 says
+    keys = 'reading', 'reserve', 'reserve_deviation'
+    assert r.spin_until(lambda: len(told) > 5)
+    said = said_of(told[-1], *keys)
+    assert set(said) == {'y1', 'y2'}  # y3 has none
+    message, facts = said['y2']
+    assert message == 'reserve' and facts['reading'] == pytest.approx(1.2)
+    assert facts['reserve'] == pytest.approx(1.0) and math.isfinite(facts['reserve_deviation'])
+    rehearsed = r.told()['y2'].rehearsed
+    assert rehearsed.mean == pytest.approx(0.2) and rehearsed.seconds > 1.0
+    r.isolate('y2')
+    r.step(*r.healthy(), periods=20)
+    assert r.spin_until(lambda: 'y2' in said_of(told[-1], 'value', 'deviation', 'offset') or
+                        set(said_of(told[-1], *keys)) == {'y1'})
+    assert 'y2' not in said_of(told[-1], *keys)  # there is nothing that it is a reserve of

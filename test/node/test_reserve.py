@@ -8,8 +8,10 @@ import pytest
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64, String
 
+from vsensor_ros.bank import Rehearsal
+from vsensor_ros.engine import ChannelState
 from vsensor_ros.node import status
-from vsensor_ros.node.reserve import Chance, chance, Origin, without_reserve
+from vsensor_ros.node.reserve import Chance, chance, Origin, without_reserve, worth
 from vsensor_ros.reason import Reason
 
 sys.path.append(str(Path(__file__).parent))
@@ -54,6 +56,21 @@ def test_of_what_was_heard_before_the_parameters_are_right(publishers, mend):
     silent = Reason.of('input silent', name='y3', seconds=2.0)
     assert without_reserve('y1', silent, origins) == [
         'could not be replaced now (y3 silent for 2.0 s)', mend]
+
+
+@pytest.mark.parametrize('more, words', [
+    ({}, 'y2 could be replaced now, to 0.021 rad/s'),
+    ({'remaining_s': 12.3}, 'y2 could be replaced now, to 0.021 rad/s, for 12 s'),
+    ({'rehearsed': None}, 'y2 could be replaced now, to 0.021 rad/s (not compared with it yet)'),
+    ({'reserve': CONVERGING}, 'y2 could not be replaced now (converging, 2.3 s more)'),
+    ({'reserve': REFUSED}, 'y2 cannot be replaced (no way)')])
+def test_what_a_reserve_is_worth_in_words(more, words):
+    nan = float('nan')
+    rehearsed = Rehearsal(0.0, 0.02, 0.05, 0.019, 0.95, 60.0)
+    given = {'reserve': None, 'reserve_deviation': 0.0213, 'rehearsed': rehearsed, **more}
+    assert worth(ChannelState(
+        'y2', '/y2', 'rad/s', 'real', None, (), '', 1.5, 0.0, None, 0.0, 0, nan, nan, 0.0, False,
+        nan, nan, nan, None, False, 0, 0, {}, 100, **given)) == words
 
 
 @pytest.fixture

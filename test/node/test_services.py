@@ -48,7 +48,8 @@ def test_force_and_release(running):
     assert ask(m, 'y2/force', data=True)[0]  # again does no harm
     assert ask(m, 'y2/clear') == (False, 'y2: is forced; release it')
     assert m.spin_until(lambda: state(m, 'y2').switches == 1)  # with the next message
-    assert ask(m, 'y2/force', data=False) == (True, 'y2 is real')
+    success, message = ask(m, 'y2/force', data=False)
+    assert success and message.startswith('y2 is real')  # a busy computer may have more to say
     assert m.spin_until(lambda: state(m, 'y2').switches == 2)
     # y3 has no virtual sensor: forcing it would only do harm
     success, message = ask(m, 'y3/force', data=True)
@@ -66,7 +67,8 @@ def test_clear_gives_a_held_one_back_but_no_faulty_one(running):
     m.isolate('')
     assert m.spin_until(lambda: state(m, 'y2').recovering_s >= 0.0)
     assert source(m, 'y2') == 'virtual'
-    assert ask(m, 'y2/clear') == (True, 'y2 is real')
+    success, message = ask(m, 'y2/clear')  # a busy machine may add what it did not send on
+    assert success and message.startswith('y2 is real')
 
 
 def test_reset_releases_what_is_latched_or_forced(running):

@@ -16,7 +16,9 @@ from managed_rig import KEPT, machines
 KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', 'offset',
         'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'recovering_s',
         'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts', 'readings_hz',
-        'not_used', 'reason', 'reserve', 'reserve_reason'}
+        'not_used', 'reason', 'reserve', 'reserve_reason', 'reserve_worth', 'reserve_deviation',
+        'reserve_mean', 'reserve_rms', 'reserve_worst', 'reserve_within', 'reserve_compared_s',
+        'remaining_s'}
 NODE_KEYS = {'state', 'rate', 'achieved', 'step_p50', 'step_p99', 'step_max', 'jitter_p99',
              'overruns', 'ticks', 'estimates', 'starts', 'faulty', 'not_used'}
 

@@ -24,6 +24,7 @@ from vsensor_ros.observers import (
     Proof,
     Refusal,
     Rung,
+    Tracking,
     VirtualSensor,
 )
 from vsensor_ros.observers.file import VERSION
@@ -38,6 +39,10 @@ REGION = Certificate('region', np.inf, np.inf, np.eye(2) / 3, (
     Limit(0, 0, -np.inf, 3.0), Limit(None, 0, 1e-300, np.inf)), (np.inf, np.inf),
     'while levels are so')
 NONE = Certificate('none', 0.0, np.inf, np.zeros((1, 1)), (), None, 'the slope has no bound')
+
+TRACKING = Tracking(('y3',), np.array([[3.0], [2.0]]), np.array([[1.0, 0.0]]),
+                    np.array([[0.0, 1.0 / 3.0]]), np.array([[-0.5]]), np.eye(2) / 3,
+                    np.diag([0.0, 0.1]), 1e-9, True, np.array([0.1 + 0.2]))
 
 
 def sensor(channel, fault_set, rows=1, order=1, **more):
@@ -66,10 +71,14 @@ def example():
         sensor('v', (), grade='bounded', disturbance_gain=0.25, noise=Noise(0.3, np.inf, False),
                certificate=NONE),
         sensor('w', ('y1',), rows=2, order=2, Qu=np.array([[1.5], [-0.0]])),
-        sensor('w', (), rows=3, order=0))
+        sensor('w', (), rows=3, order=0),
+        replace(sensor('y3', ('y3',), order=2, grade='temporary', tracking=TRACKING),
+                N=np.array([[0.0, 1.0], [0.0, 0.0]]), eigenvalues=np.zeros(2, complex),
+                noise_gain=np.inf))
     return Design('servo', '0' * 64, ('x1', 'x2', 'x3'), ('u1',), SENSORS, {'y1': 'rad'}, None,
                   {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'),
-                  np.array([[0.0], [1.0 / 3.0], [-2.0]]))
+                  np.array([[0.0], [1.0 / 3.0], [-2.0]]), {'y3': 0.1}, {'y1': (-np.pi, 0.3)},
+                  wrap=({'y1': 2.0 * np.pi, 'y3': -360.0}, {'y2': 1.0 / 3.0}))
 
 
 @pytest.fixture(name='written')
@@ -96,7 +105,7 @@ def refusal_line(path):
 def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     saved, loaded = example(), Design.load(written)
     for name in ('plant_name', 'plant_hash', 'states', 'inputs', 'sensors', 'units',
-                 'sample_time', 'fault_sets', 'wanted'):
+                 'sample_time', 'fault_sets', 'wanted', 'tolerances', 'ranges', 'wrap'):
         assert getattr(loaded, name) == getattr(saved, name)
     bits(loaded.Cu, saved.Cu)
     assert not loaded.Cu.flags.writeable and not saved.Cu.flags.writeable
@@ -115,12 +124,17 @@ def same(other, entry):
     for name, value in vars(entry).items():
         if isinstance(value, np.ndarray):
             bits(getattr(other, name), value)
-        elif name not in ('Gz', 'Gy', 'Gu', 'terms', 'certificate'):
+        elif name not in ('Gz', 'Gy', 'Gu', 'terms', 'certificate', 'tracking'):
             assert getattr(other, name) == value
     for mine, theirs in zip((*entry.Gz, *entry.Gy, *entry.Gu), (*other.Gz, *other.Gy, *other.Gu)):
         bits(theirs, mine)
     assert [(t.name, t.text, t.slope.tolist()) for t in other.terms] == [
         (t.name, t.text, t.slope.tolist()) for t in entry.terms]
+    for name, value in (vars(entry.tracking) if entry.tracking else {}).items():
+        if isinstance(value, np.ndarray):
+            bits(getattr(other.tracking, name), value)
+        else:
+            assert getattr(other.tracking, name) == value
     if entry.certificate is not None:
         bits(other.certificate.S, entry.certificate.S)
         assert {**vars(other.certificate), 'S': 0} == {**vars(entry.certificate), 'S': 0}
@@ -136,6 +150,8 @@ def frozen(entry):
               for a in (value if isinstance(value, tuple) else (value,))
               if isinstance(a, np.ndarray)]
     arrays += [term.slope for term in getattr(entry, 'terms', ())]
+    tracking = getattr(entry, 'tracking', None)
+    arrays += [a for a in vars(tracking).values() if isinstance(a, np.ndarray)] if tracking else []
     arrays += [entry.certificate.S] if getattr(entry, 'certificate', None) else []
     assert not any(array.flags.writeable for array in arrays)
     return len(arrays)
@@ -211,7 +227,7 @@ BROKEN = {
                     'terms[0].Gu: is not 1 x 1'),
     'null in Qu': (lambda r: first_sensor(r).update(Qu=[[None]]), 'Qu: is not 1 x 1'),
     'grade': (lambda r: first_sensor(r).update(grade='good'),
-              'grade: good is not one of exact, bounded'),
+              'grade: good is not one of exact, bounded, temporary'),
     'grade as a list': (
         lambda r: first_sensor(r).update(grade=['exact']), 'grade: must be a text'),
     'negative disturbance gain': (
@@ -301,8 +317,60 @@ BROKEN = {
         lambda r: r['entries'][2].update(start=[[1.0, 1e999], [1e999, 1.0]]), 'finite'),
     'shape of Cu': (lambda r: r['plant'].update(Cu=[[1.0]]), 'plant.Cu: is not 3 x 1'),
     'Cu of null': (lambda r: r['plant'].update(Cu=None), 'plant.Cu: must be a list'),
+    'wrap of nobody': (
+        lambda r: r['plant'].update(wrap=[{'y9': 1.0}]), 'plant.wrap[0].y9: is not'),
+    'wrap of nothing': (lambda r: r['plant'].update(wrap=[{'y1': 0.0}]),
+                        'plant.wrap[0].y1: is no turn'),
+    'wrap of two': (lambda r: r['plant'].update(wrap=[{'y1': 1.0}, {'y1': 1.0}]),
+                    'plant.wrap[1].y1: stands there twice'),
+    'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
+                         'plant.wrap[0].y1: is not finite'),
+    'tracking of null': (lambda r: last(r).update(tracking=None), 'tracking: must be an object'),
+    'temporary without tracking': (lambda r: last(r).pop('tracking'), 'tracking: is missing'),
+    'tracking that leaves it unstable': (
+        lambda r: last(r)['tracking'].update(L=[[3.0], [0.0]]), 'leaves N - L C unstable'),
+    'tracking by a healthy one': (
+        lambda r: last(r)['tracking'].update(channels=['y1']), 'channels: are not some of the'),
+    'tracking by others alone': (
+        lambda r: r['entries'][2].update(tracking={'channels': ['y3']}), 'begin with its own'),
+    'tracking by nobody': (lambda r: last(r)['tracking'].update(channels=[]), 'channels'),
+    'tracking of order 0': (
+        lambda r: r['entries'].append({**last(r), 'fault_set': ['y1', 'y3'], 'healthy': ['y2'],
+                                       **{key: [] for key in (
+                                           'Phi', 'N', 'J', 'B', 'P', 'z0', 'z0_gain',
+                                           'eigenvalues')},
+                                       'order': 0, 'terms': [], 'Cv': [[]], 'Q': [[1.0]]}),
+        'of order 0 there is nothing to track'),
+    'numbers that have no product': (
+        lambda r: last(r)['tracking'].update(L=[[1e200], [0.0]]), 'L: has a number above'),
+    'shape of L': (lambda r: last(r)['tracking'].update(L=[[1.0]]), 'tracking.L: is not 2 x 1'),
+    'shape of Q of the tracked': (
+        lambda r: last(r)['tracking'].update(Q=[[1.0]]), 'tracking.Q: is not 1 x 2'),
+    'growth that is no covariance': (
+        lambda r: last(r)['tracking'].update(W=[[-1.0, 0.0], [0.0, 1.0]]), 'W: is not a covar'),
+    'tracked covariance of one side': (
+        lambda r: last(r)['tracking'].update(P=[[1.0, 0.5], [0.0, 1.0]]), 'P: is not symmetric'),
+    'negative direct': (lambda r: last(r)['tracking'].update(direct=-1.0), 'tracking.direct'),
+    'negative noise of a reading': (
+        lambda r: last(r)['tracking'].update(noise=[-0.1]), 'tracking.noise: must not be neg'),
+    'slopes of another order': (
+        lambda r: last(r)['tracking'].update(slopes=[[1.0]]), 'slopes: is not 2 x 2'),
+    'unknown key of tracking': (
+        lambda r: last(r)['tracking'].update(x=1), 'tracking.x: is not a key'),
+    'infinite noise gain of a stable one': (
+        lambda r: first_sensor(r).update(noise_gain=None), 'noise_gain'),
+    'tolerance of nothing': (lambda r: r['plant'].update(tolerances={'y9': 1.0}), 'tolerances.y9'),
+    'tolerance of zero': (
+        lambda r: r['plant'].update(tolerances={'y3': 0}), 'tolerances.y3: must be positive'),
+    'range upside down': (
+        lambda r: r['plant'].update(ranges={'y1': [1.0, 1.0]}), 'ranges.y1: is not [low, high]'),
+    'range as a number': (lambda r: r['plant'].update(ranges={'y1': 1.0}), 'ranges.y1'),
     'lipschitz left out': (lambda r: certificate(r).pop('lipschitz'), 'lipschitz: is missing'),
 }
+
+
+def last(record):
+    return record['entries'][-1]
 
 
 def proof(record):
@@ -340,7 +408,7 @@ def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written)
     def older(record):
         as_version_3(record)
         record.update(version=2)
-        del record['plant']['Cu'], record['entries'][2]['start']
+        del record['plant']['wrap'], record['plant']['Cu'], record['entries'][2]['start']
     rewrite(written, older)
     read = Design.load(written)
     assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)

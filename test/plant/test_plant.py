@@ -87,6 +87,16 @@ def test_noise_and_ranges_of_the_states():
     assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3], [1, np.inf]]
 
 
+def test_sensors_of_one_angle_whatever_their_units():
+    C = [[180.0 / np.pi, 0.0], [-1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
+    plant = Plant.from_matrices(np.zeros((2, 2)), None, C,
+                                wrap=[360.0, 2 * np.pi, 2 * np.pi, np.nan, 2 * np.pi])
+    assert plant.angles() == (
+        {'y1': 360.0, 'y2': -2 * np.pi},  # which runs the other way
+        {'y3': 2 * np.pi},
+        {'y5': 2 * np.pi})  # it turns twice as often
+
+
 def test_arrays_are_copied_and_frozen():
     a = np.array(A)
     plant = Plant.from_matrices(a, B, C)
@@ -108,7 +118,8 @@ def test_hash_depends_on_what_a_design_depends_on():
         tank(nonlinearities=['w1 - sqrt(w1)'] * 2 + ['w1']), tank(initial=[1, 0, 0]),
         tank(P=np.array(P) * (1 + 1e-15)), tank(G=-np.array(G)), tank(D=[1, 0, 0]),
         tank(Cu=[[0, 0], [0, 1]]), tank(Cu=[[0, 1], [0, 0]]), tank(D=[1, 0, 0], Cd=[0, 1]),
-        tank(noise=[1, 2]), tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
+        tank(wrap=[1, 2]), tank(noise=[1, 2]),
+        tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
         tank(nonlinearities=[NonlinearTerm('', 'w1 - sqrt(w1)', np.ones(1))] * 3)]
     assert len({first, *(plant.hash() for plant in changed)}) == 1 + len(changed)
 
@@ -193,6 +204,8 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'ranges': [[0, 1], [np.inf, np.inf], [0, 1]]}, 'a low that is not below its high'),
     ({'ranges': [[0, 1], [0, np.nan], [0, 1]]}, 'ranges: holds NaN'),
     ({'ranges': [[0, 1], [0, 1e76], [0, 1]]}, 'ranges: holds a number beyond 1e+75'),
+    ({'wrap': [360.0]}, 'wrap: [360.0] does not fit; give 2 numbers'),
+    ({'wrap': [360.0, 0.0]}, 'wrap: [360.0, 0.0] is not above 0 somewhere'),
     ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),
 ])
 def test_bad_arrays_give_one_line(change, needle):

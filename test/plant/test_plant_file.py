@@ -199,6 +199,14 @@ def test_noise_and_range_of_a_state(tmp_path):
     assert np.isnan(plain.process_noise).all() and np.isinf(plain.ranges).all()
 
 
+def test_a_sensor_that_wraps(tmp_path):
+    plant = load_plant(written(tmp_path, TANK.replace('noise: 1e-3', 'wrap: 2*pi').replace(
+        'unit: m}', 'unit: m, wrap: 4*area}')))
+    assert plant.wrap == pytest.approx([2 * np.pi, 16.0])
+    assert plant.angles() == ({'y1': plant.wrap[0]}, {'y2': plant.wrap[1]})
+    assert np.isnan(load_plant(written(tmp_path, TANK)).wrap).all()
+
+
 def test_a_state_called_on(tmp_path):
     text = TANK.replace('level1', 'on').replace('  on:', "  'on':").replace(' on,', " 'on',")
     assert load_plant(written(tmp_path, text)).states == ('on', 'level2')
@@ -251,11 +259,19 @@ CHANGES = [
     ('initial: 2.0', 'range: [b, 2]', 'states.level1.range: 2 is not below 2'),
     ('initial: 2.0', 'range: [.nan, 2]', 'states.level1.range: nan is not finite'),
     ('initial: 2.0', 'range: [0, 1e76]', 'ranges: holds a number beyond 1e+75'),
+    ('initial: 2.0', 'slow: maybe', "states.level1.slow: 'maybe' is neither true nor false"),
+    ('initial: 2.0', 'slow: [true]', 'line 6: YAML reads true as a truth value'),
+    ('unit: m^3/s,', 'slow: true,', "inputs.u1: unknown key 'slow'"),
+    ('noise: 1e-3', 'tolerance: 0', 'sensors.y1.tolerance: 0 is not positive'),
+    ('noise: 1e-3', 'tolerance: b - 3', 'sensors.y1.tolerance: -1 is not positive'),
+    ('noise: 1e-3', 'tolerance: much', "sensors.y1.tolerance: unknown name 'much'"),
     ('unit: m^3/s,', 'range: [0, 1],', "inputs.u1: unknown key 'range'"),
     ('measures: level1,', '', 'sensors.y1.measures: is missing; say which state'),
     ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
     ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),
     ('noise: 1e-3', 'noise: -1', 'sensors.y1.noise: -1 is negative'),
+    ('noise: 1e-3', 'wrap: 0', 'sensors.y1.wrap: 0 is not above 0; give what a turn is'),
+    ('noise: 1e-3', 'wrap: level1', "sensors.y1.wrap: unknown name 'level1'"),
     ('noise: 1e-3', 'noise: .nan', 'sensors.y1.noise: nan is not finite'),
     ('noise: 1e-3', 'noise: much', "sensors.y1.noise: unknown name 'much'"),
     ('noise: 1e-3', 'noise: [1]', 'sensors.y1.noise: [1] is not an expression'),

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from vsensor_ros import design, load_plant, Plant
+from vsensor_ros.report import report_simulation
 from vsensor_ros.report.hold import growth, holding_gain, linearised
 from vsensor_ros.report.page import page
 from vsensor_ros.report.report_simulation import disturbed, from_wrong_start
 
 pytest.importorskip('matplotlib')
+pytestmark = pytest.mark.xdist_group('report')
 PENDULUM = """
 name: pendulum
 time: continuous
@@ -34,23 +36,30 @@ def pendulum(folder, torque):
     return load_plant(folder / 'plant.yaml')
 
 
+def shown(monkeypatch, plant, result, *runs):
+    """Return the report of what was run already."""
+    for name, run in zip(('from_wrong_start', 'disturbed'), runs):
+        monkeypatch.setattr(report_simulation, name, lambda *_, run=run: run)
+    return page(plant, result)
+
+
 def labels(text):
     return [t for svg in re.findall(r'<svg.*?</svg>', text, re.DOTALL)
             for t in ElementTree.fromstring(svg).itertext() if t.strip()]
 
 
 @pytest.mark.parametrize('torque', ['torque', '5*torque*cos(angle)'])
-def test_an_unstable_plant_is_held(tmp_path, torque):
+def test_an_unstable_plant_is_held(tmp_path, monkeypatch, torque):
     plant = pendulum(tmp_path, torque)
     result = design(plant, [('gyro',)], bounded=True)
     entry = result['gyro', 'gyro']
-    for run in (from_wrong_start(plant, result, entry), disturbed(plant, result, entry)):
+    runs = start, _ = from_wrong_start(plant, result, entry), disturbed(plant, result, entry)
+    for run in runs:
         assert run.held and not run.runs_away
         assert np.abs(run.truth).max() < 5.0  # it was e**10 times what it began with
         assert np.abs(run.truth[-len(run.truth) // 4:]).max() < 2.0
-    start = from_wrong_start(plant, result, entry)
     assert np.abs(start.error[-1]) < 1e-3 * np.abs(start.error[0])
-    text = page(plant, result)
+    text = shown(monkeypatch, plant, result, *runs)
     assert 'from a wrong start, plant held' in labels(text) and 'truth' in labels(text)
     assert 'The plant is unstable by itself. Here a controller that knows' in text
     assert 'runs away' not in text
@@ -66,12 +75,12 @@ def test_a_discrete_plant_is_held():
 
 
 @pytest.mark.parametrize('commands', [None, [[1.0], [0.0]]])
-def test_of_a_plant_that_cannot_be_held_only_the_error_is_shown(commands):
+def test_of_a_plant_that_cannot_be_held_only_the_error_is_shown(monkeypatch, commands):
     plant = Plant.from_matrices([[0.5, 1], [0, 0.3]], commands, np.eye(2))
     result = design(plant, [('y2',)])
     run = from_wrong_start(plant, result, result['y2', 'y2'])
     assert run.runs_away and not run.held
-    text = page(plant, result)
+    text = shown(monkeypatch, plant, result, run)
     assert 'from a wrong start: the error' in labels(text)
     assert 'truth' not in labels(text) and '|error|' in labels(text)
     assert 'its commands do not hold it: only the error is drawn' in text

@@ -81,17 +81,13 @@ def test_noise_is_on_the_readings_and_not_on_the_truth(tmp_path):
 def test_the_shipped_scenarios_hold_what_they_promise(system):
     plant = load_plant(CONFIG / system / 'plant.yaml')
     scenario = load_scenario(CONFIG / system / 'demo.yaml', plant)
+    if system == 'three_tank':  # its levels stay in order
+        level3 = scenario.channels['y2'].value
+        assert np.all(scenario.truth.value[::5] > level3) and np.all(level3 > 0)
     assert set(scenario.channels) == {*plant.sensors, *plant.inputs}
     after = scenario.truth.time > scenario.isolated_at
     hold = np.sqrt(np.mean((scenario.truth.value[after] - scenario.trusted) ** 2))
     assert hold > 50 * scenario.bar     # the last value held is visibly bad
-
-
-def test_tank_levels_stay_in_order():
-    plant = load_plant(CONFIG / 'three_tank' / 'plant.yaml')
-    scenario = load_scenario(CONFIG / 'three_tank' / 'demo.yaml', plant)
-    level3 = scenario.channels['y2'].value
-    assert np.all(scenario.truth.value[::5] > level3) and np.all(level3 > 0)
 
 
 def test_recorded_scenario(tmp_path, monkeypatch):

@@ -1,6 +1,9 @@
 """The run: every virtual sensor in step on one grid of times."""
 
+from vsensor_ros.bank.angle import Angle
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.record import Rehearsal
+from vsensor_ros.bank.steps import GUARD, LONGEST_GUARD
 
-__all__ = ['Bank', 'End']
+__all__ = ['GUARD', 'LONGEST_GUARD', 'Angle', 'Bank', 'End', 'Rehearsal']

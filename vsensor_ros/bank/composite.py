@@ -10,6 +10,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.observers import (
     Batch,
+    Bent,
     Design,
     Entry,
     kind_named,
@@ -40,8 +41,14 @@ def batch_of(design: Design, period: float, Cu: np.ndarray | None) -> Batch:
 
 
 def _composed(parts: Sequence[Batch], L: int, m: int) -> Composite:
-    sizes = [len(part.runs_on) for part in parts]
+    sizes, runs = [part.size for part in parts], [len(part.runs_on) for part in parts]
     starts = np.cumsum([0, *sizes]).tolist()
+    helpers = (starts[-1] + np.cumsum([0, *(r - s for r, s in zip(runs, sizes))])).tolist()
+    # where the runs of each part stand: those that serve first, of all parts
+    at = [np.concatenate([np.arange(start, start + size),
+                          np.arange(more, more + r - size)]).astype(int)
+          for start, size, more, r in zip(starts, sizes, helpers, runs)]
+    order = np.argsort(np.concatenate([np.zeros(0, dtype=int), *at]))
 
     def joined(name: str, dtype: type, *shape: int) -> np.ndarray:
         return np.concatenate([np.zeros((0, *shape), dtype=dtype),
@@ -51,8 +58,8 @@ def _composed(parts: Sequence[Batch], L: int, m: int) -> Composite:
         of=np.concatenate([np.zeros(0, dtype=int),
                            *(part.of + start for part, start in zip(parts, starts))]),
         width=max((part.width for part in parts), default=0),
-        runs_on=joined('runs_on', bool, L + m),
-        starts_on=joined('starts_on', bool, L + m),
+        runs_on=joined('runs_on', bool, L + m)[order],
+        starts_on=joined('starts_on', bool, L + m)[order],
         own=joined('own', int),
         error=joined('error', float),
         assumed=joined('assumed', bool),
@@ -60,43 +67,52 @@ def _composed(parts: Sequence[Batch], L: int, m: int) -> Composite:
         warm_up=joined('warm_up', float),
         proved=joined('proved', bool),
         wants_held=any(part.wants_held for part in parts),
+        tracked=tuple(t._replace(own=int(rows[t.own]), tracker=int(rows[t.tracker]),
+                                 free=int(rows[t.free]))
+                      for part, rows in zip(parts, at) for t in part.tracked),
         left_out={key: why for part in parts for key, why in part.left_out.items()},
-        parts=tuple((part, slice(start, start + size), part.width)
-                    for part, start, size in zip(parts, starts, sizes)),
-        outputs=tuple((i, j) for i, part in enumerate(parts) for j in range(len(part.keys))))
+        parts=tuple((part, slice(start, start + size), rows, part.width)
+                    for part, start, size, rows in zip(parts, starts, sizes, at)),
+        outputs=tuple((i, j) for i, part in enumerate(parts) for j in range(len(part.keys))),
+        tracks=tuple((i, j) for i, part in enumerate(parts) for j in range(len(part.tracked))))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Composite(Batch):
     """Batches of several kinds, one below the other; narrow states are filled up with zeros."""
 
-    parts: tuple[tuple[Batch, slice, int], ...]  # batch, its virtual sensors, its width
+    # batch, its virtual sensors, all its runs, its width
+    parts: tuple[tuple[Batch, slice, np.ndarray, int], ...]
     outputs: tuple[tuple[int, int], ...]  # O: which part says it, and which output of it
+    tracks: tuple[tuple[int, int], ...]  # likewise of those that are tracked
 
     def start(self, told: Told) -> np.ndarray:
         """Start each kind."""
-        return self._filled([part.start(told) for part, _, _ in self.parts])
+        return self._filled([part.start(told) for part, _, _, _ in self.parts])
 
     def step(self, z: np.ndarray, before: Told, after: Told,
              commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Step each kind."""
-        stepped = [part.step(z[rows, :k], before, after, commands)
-                   for part, rows, k in self.parts if rows.stop > rows.start]
-        outside = np.concatenate([np.zeros(0, dtype=bool), *(out for _, out in stepped)])
-        return self._filled([own for own, _ in stepped]), outside
+        outside = np.zeros(len(self.runs_on), dtype=bool)
+        stepped = []
+        for part, _, rows, k in self.parts:
+            own = z[rows, :k]
+            if len(rows):
+                own, outside[rows] = part.step(own, before, after, commands)
+            stepped.append(own)
+        return self._filled(stepped), outside
 
     def _filled(self, states: Sequence[np.ndarray]) -> np.ndarray:
         z = np.zeros((len(self.runs_on), self.width))
-        at = 0
-        for own in states:
-            z[at:at + len(own), :own.shape[1]] = own
-            at += len(own)
+        for (_, _, rows, k), own in zip(self.parts, states):
+            z[rows, :k] = own
         return z
 
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return the outputs of all kinds, side by side."""
         return np.concatenate([np.zeros((*z.shape[:-2], 0)), *(
-            part.estimates(z[..., rows, :k], y, held) for part, rows, k in self.parts)], axis=-1)
+            part.estimates(z[..., rows, :k], y, held)
+            for part, rows, _, k in self.parts)], axis=-1)
 
     def waiting(self, output: int, z: np.ndarray, age: float) -> float:
         """Ask the kind."""
@@ -124,12 +140,27 @@ class Composite(Batch):
         part, own, z = self._own(output, z)
         return part.interval(own, z, told, age)
 
+    def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
+        """Ask the kind."""
+        part, own = self.tracks[i]
+        return self.parts[part][0].drift(own, ages)
+
+    def bent(self, i: int) -> Bent | None:
+        """Ask the kind."""
+        part, own = self.tracks[i]
+        found = self.parts[part][0].bent(own)
+        if found is None:
+            return None
+        wide = (0, self.width - len(found.row))
+        return Bent(np.pad(found.start, (wide, wide)), np.pad(found.growth, (wide, wide)),
+                    np.pad(found.row, wide), found.direct)
+
     def _own(self, output: int, z: np.ndarray) -> tuple[Batch, int, np.ndarray]:
         i, own = self.outputs[output]
-        part, rows, k = self.parts[i]
+        part, rows, _, k = self.parts[i]
         return part, own, z[rows, :k]
 
     def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
         """Ask each kind."""
         return np.concatenate([np.zeros(0), *(
-            part.reach(slopes, ages, direct) for part, _, _ in self.parts)])
+            part.reach(slopes, ages, direct) for part, _, _, _ in self.parts)])

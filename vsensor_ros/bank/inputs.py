@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.angle import Angle, samples_of
 from vsensor_ros.bank.commands import Command, End
 from vsensor_ros.bank.readings import BACKWARDS, Samples, Seen
 from vsensor_ros.observers import Told
@@ -29,17 +30,21 @@ class Inputs:
 
     `ages`: the max_age of each sensor. `Cu` (L, m): what is taken out of a reading, None: nothing.
     `held`: whether somebody asks for the commands that hold at a time. `ends`: of commands that do
-    not hold for ever, with a max_age of at least `least`.
+    not hold for ever, with a max_age of at least `least`. `wrap`: of each angle the sensors that
+    wrap, see `Contents`.
     """
 
     def __init__(self, ages: Mapping[str, int], commands: Sequence[str], Cu: np.ndarray | None,
-                 held: bool, ends: Mapping[str, End], least: int) -> None:
+                 held: bool, ends: Mapping[str, End], least: int,
+                 wrap: Sequence[Mapping[str, float]] = ()) -> None:
         self.ages, self.commands, self._wants_held = ages, commands, held
         self._ends, self._least = ends, least
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
         self.distrusted: frozenset[str] = frozenset()
+        self._wrap = wrap
+        self.angles = {name: Angle(abs(turn)) for turns in wrap for name, turn in turns.items()}
         self._floors: dict[str, float] = {}  # by sensor: up to this stamp it is not believed
         self.reset()
 
@@ -47,6 +52,8 @@ class Inputs:
         """Forget everything but who is distrusted, and up to which stamp."""
         held = {name: Command(self._ends.get(name), self._least) for name in self.commands}
         samples: dict[str, Samples] = {**{name: Samples() for name in self.ages}, **held}
+        for turns in self._wrap:
+            samples |= samples_of(turns, self.angles, self.ages)
         self.samples, self._held = samples, held
         seen: list[Seen] = [[(float(gain), held[name])
                              for gain, name in zip(row, self.commands) if gain]
@@ -78,7 +85,9 @@ class Inputs:
             return AHEAD
         if self._floors and stamp <= self._floors.get(name, -math.inf):
             self._heard[name] = max(stamp, self._heard.get(name, stamp))
-            self._apart.setdefault(name, Samples()).add(stamp, value)
+            if name not in self._apart:
+                self._apart[name] = samples.apart()
+            self._apart[name].add(stamp, value)
             return ISOLATED
         last = samples.stamps[-1] if samples.stamps else None
         reason = samples.add(stamp, value)

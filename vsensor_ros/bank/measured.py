@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 
 import numpy as np
 
+from vsensor_ros.bank.angle import ShortWay
+from vsensor_ros.bank.elsewhere import Elsewhere
 from vsensor_ros.bank.record import Record
+from vsensor_ros.bank.rehearsal import Growth
 from vsensor_ros.observers import Batch, Told
 
 _GAP = 3  # times the usual interval of a reading: what was missed then shows afterwards
@@ -20,15 +24,25 @@ class Measured:
     """
 
     def __init__(self, batch: Batch, ages: Mapping[str, int], period: int,
-                 Cu: np.ndarray | None) -> None:
-        """Prepare for sensors with these max_ages [ns], and a grid of this period [ns]."""
+                 Cu: np.ndarray | None, short_way: ShortWay) -> None:
+        """
+        Prepare for sensors with these max_ages [ns], and a grid of this period [ns].
+
+        short_way: of residuals (T, O) that wrap.
+        """
         self._batch, self._ages, self._period, self._Cu = batch, ages, period, Cu
+        self._short_way = short_way
         self._seconds = period * 1e-9
         self._recent = np.array(list(ages.values())) * 0.5e-9
         self._warm = np.minimum(batch.warm_up / self._seconds, 1e18)  # steps
         self.record = Record(batch.slowest, batch.own, len(ages), self._seconds, batch.error,
                              batch.assumed)
+        self.growth = Growth(batch, self._seconds, short_way)
+        # of temporary ones: what a gap has left in a free run stays there
+        self._stays = np.isin(batch.of, [t.own for t in batch.tracked if t.temporary])
         self.base = self.record.in_steady_state()
+        self.elsewhere = Elsewhere(batch, tuple(ages), self._seconds)
+        self.all_trusted = True  # no sensor is isolated: what shows is usual
         self.reset()
         self.restart()
 
@@ -39,32 +53,72 @@ class Measured:
     def restart(self) -> None:
         """Forget what is not yet believed, and what gaps have left."""
         self.record.forget()
+        self.elsewhere.restart()
+        self.growth.restart()
         # what gaps in the readings have left in the states (O,), when they ended last
         self._missed: np.ndarray = np.zeros(len(self._batch.keys))
         self._missed_at = 0
 
     def forget(self, lost: np.ndarray, stopped: np.ndarray) -> None:
-        """Forget what is not yet believed of lost sensors (L,), and of who stopped (V,) bool."""
+        """Forget what is not yet believed of lost sensors (L,), and of who stopped (R,) bool."""
         own = self._batch.own
-        self.record.forget(stopped[self._batch.of] | (lost[own] & (own >= 0)), lost)
+        outputs = stopped[self._batch.of] | (lost[own] & (own >= 0))
+        self.record.forget(outputs, lost)
+        self.elsewhere.forget(outputs)
+        self.growth.forget(np.array([stopped[t.tracker] for t in self._batch.tracked], dtype=bool))
+        self._missed = np.where(self._stays, 0.0, self._missed)  # a free run begins anew
 
     def add(self, ticks: np.ndarray, z: np.ndarray, running: np.ndarray, since: np.ndarray,
-            told: Told, heard: np.ndarray) -> None:
+            told: Told, heard: np.ndarray, newest: int) -> None:
         """
         Take T states that nothing can change any more, stacked along a first axis.
 
         heard (L,): tick of the last reading of each sensor. A value that is only held says
-        nothing.
+        nothing. newest: the tick by now.
         """
-        batch, of, own = self._batch, self._batch.of, self._batch.own
         there = told.there[:, :len(heard)] & (ticks[:, None] <= heard)
+        if self._batch.tracked:
+            with np.errstate(all='ignore'):
+                self.growth.add(ticks, z, running, since, told, there)
+        z, running, since = (part[:, :self._batch.size] for part in (z, running, since))
+        residuals, counts = self._residuals(z, running, told, there)
         with np.errstate(all='ignore'):
-            estimates = batch.estimates(z, told.y, told.held)
-            readings = told.y if self._Cu is None else told.y + told.held @ self._Cu.T
-            counts = running[:, of] & there[:, own] & (own >= 0) \
-                & (ticks[:, None] - since[:, of] >= 2.0 * self._warm)  # no start is left in it
-            self.record.add(int(ticks[-1]), readings[:, own] - estimates, counts, told.y, there)
+            start = self._of_the_start(ticks[[0, -1]], z[-1], since[-1], told)
+            self.record.add(int(ticks[-1]), residuals, counts, told.y, there, start, newest)
         self.base = self.record.in_steady_state()
+        if self.all_trusted:
+            self.elsewhere.note_usual(self.record.slowly, self.base)
+
+    def look(self, ticks: np.ndarray, z: np.ndarray, running: np.ndarray, since: np.ndarray,
+             told: Told, heard: np.ndarray) -> None:
+        """Take T states, as above, to see where the machine is by now."""
+        there = told.there[:, :len(heard)] & (ticks[:, None] <= heard)
+        z, running, since = (part[:, :self._batch.size] for part in (z, running, since))
+        residuals, counts = self._residuals(z, running, told, there)
+        grown = ticks[:, None] - since[:, self._batch.of] >= 2.0 * self._warm
+        self.elsewhere.take(residuals, counts & grown)
+
+    def _residuals(self, z: np.ndarray, running: np.ndarray, told: Told, there: np.ndarray,
+                   ) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (T, O), and which of them count."""
+        own = self._batch.own
+        with np.errstate(all='ignore'):
+            estimates = self._batch.estimates(z, told.y, told.held)
+            readings = told.y if self._Cu is None else told.y + told.held @ self._Cu.T
+            return self._short_way(readings[:, own] - estimates), \
+                running[:, self._batch.of] & there[:, own] & (own >= 0)
+
+    def _of_the_start(self, ticks: np.ndarray, z: np.ndarray, since: np.ndarray,
+                      told: Told) -> np.ndarray:
+        """Return what was stated (O,) of the start in a block between two ticks; NaN: nothing."""
+        ages = np.maximum(ticks[:, None] - since[self._batch.of], 0)  # (2, O) steps
+        found = np.full(len(self._warm), np.nan)
+        last = Told(*(part[-1] for part in told))
+        for o in np.flatnonzero(ages[0] < 2.0 * self._warm):
+            first, end = (self._batch.deviation(int(o), z, last, age * self._seconds)
+                          for age in ages[:, o].tolist())
+            found[o] = math.hypot(first, end) / math.sqrt(2.0)
+        return found
 
     def is_usual(self, name: str, interval: int) -> bool:
         """Tell whether a sensor's reading came about as soon [ns] after the last as always."""
@@ -87,7 +141,8 @@ class Measured:
     def _left_of_gaps(self, tick: int) -> np.ndarray:
         """Return what gaps have left in the states (O,): it dies out as they do."""
         ages = max(0, tick - self._missed_at) * self._seconds
-        return np.asarray(self._missed * np.exp(-ages / np.maximum(self._batch.slowest, 1e-9)))
+        left = np.exp(-ages / np.maximum(self._batch.slowest, 1e-9))
+        return np.asarray(self._missed * np.where(self._stays, 1.0, left))
 
     def unseen(self, tick: int, ages: np.ndarray) -> np.ndarray:
         """Return the standard deviations (O,) because readings of these ages [s] have moved."""

@@ -22,10 +22,14 @@ class Samples:
 
     def moved(self) -> Samples:
         """Return all samples, and forget them."""
-        new = Samples()
+        new = self.apart()
         new.stamps, self.stamps[:] = self.stamps[:], []
         new.values, self.values[:] = self.values[:], []
         return new
+
+    def apart(self) -> Samples:
+        """Return an empty one for samples of the same channel that are not believed."""
+        return Samples()
 
     def drop_after(self, time: int) -> int:
         """Forget the samples after a time; return how many."""

@@ -10,36 +10,29 @@ what comes after is integrated again: held readings become interpolated ones.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 import math
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
+from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.readings import Samples
+from vsensor_ros.bank.spread import Spreads
+from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Design, Told
 from vsensor_ros.reason import Reason
 
 _LONGEST = 1000  # steps that can be taken back, at most
+GUARD = 0.5  # s, by default
+LONGEST_GUARD = 10.0  # s
 _REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
-
-
-class State(NamedTuple):
-    """All virtual sensors at the grid time t_0 + tick * period."""
-
-    tick: int
-    z: np.ndarray  # (V, k), of no meaning where not running
-    running: np.ndarray  # (V,) bool
-    since: np.ndarray  # (V,) tick at which it started
-    restarts: np.ndarray  # (V,) how often it became infinite
-    outside: np.ndarray  # (V,) steps with an argument outside its domain
-    told: Told
 
 
 class Steps:
@@ -54,14 +47,16 @@ class Steps:
 
     def __init__(self, design: Design, rate: float, max_age: float | Mapping[str, float] = 0.5,
                  jump_ahead: float | None = None,
-                 command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
+                 command_ends: Mapping[str, End] = MappingProxyType({}),
+                 guard: Mapping[str, float] = MappingProxyType({})) -> None:
         """
         Prepare for a rate [Hz] and readings of at most max_age [s], at least three periods.
 
         max_age may differ by sensor; those not named have 0.5 s. A clock that jumps ahead by more
         than jump_ahead [s], by default 1000 periods, restarts the virtual sensors. command_ends:
-        what becomes of commands that come no more; those not named hold for ever. Raises BadInput
-        when a number does not suit the design.
+        what becomes of commands that come no more; those not named hold for ever. guard: what a
+        sensor said in so many s before it was lost is not believed afterwards; GUARD for those not
+        named. Raises BadInput when a number does not suit the design.
         """
         if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
             raise BadInput('', 'rate', f'{rate} is not a rate in Hz', 'give a number above 0')
@@ -84,12 +79,24 @@ class Steps:
         Cu = design.Cu if design.sample_time is None else None
         Cu = Cu if Cu is not None and Cu.any() else None
         self._batch = batch_of(design, self.period * 1e-9, Cu)
+        self._guards = _guards(design.sensors, guard)
+        turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
+        short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
+        self._runs = FreeRuns(self._batch, self.period * 1e-9, short_way)
+        # the states that are kept; of a silent sensor they are wanted from before its last reading
+        self._kept = self._span
+        if self._runs.tracked:
+            self._kept += max(self._guards.values()) // self.period + 1
+        self._spreads = Spreads(self._batch, self._runs.free)
         self._step = self._batch.step if len(self._batch.runs_on) else None
         self._everyone = np.ones(len(self._batch.runs_on), dtype=bool)
+        self._by_itself = self._everyone.copy()  # who starts when all that it needs is there
+        self._by_itself[self._runs.free] = False
         check_ends(command_ends, design.inputs)
         self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
-                            command_ends, 3 * self.period)
-        self._measured = Measured(self._batch, ages, self.period, Cu)
+                            command_ends, 3 * self.period, design.wrap)
+        self.angles = self._told.angles  # by sensor that wraps
+        self._measured = Measured(self._batch, ages, self.period, Cu, short_way)
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock
@@ -109,6 +116,7 @@ class Steps:
         self._past: deque[State] = deque()
         self._settled: list[State] = []  # from before the past, for the record
         self._measured.restart()
+        self._runs.reset()
         self._redo: int | None = None  # the last index that late data leaves as it was
         self._credit = self._span  # steps that may be redone now
         self._estimates: np.ndarray | None = None  # (O,) now, once they were asked for
@@ -155,11 +163,13 @@ class Steps:
         """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
         self._told.spoil(name, time)
 
-    def distrust(self, names: Iterable[str], now: int | None = None) -> None:
+    def distrust(self, names: Iterable[str], now: int | None = None,
+                 onsets: Mapping[str, int] = MappingProxyType({})) -> None:
         """
         Take these sensors, the complete set, as not to be read; KeyError if one is unknown.
 
-        now: the time, when that is later than the one of `advance`.
+        now: the time, when that is later than the one of `advance`. onsets: when those whose
+        faults began before now are known to have begun.
 
         Their readings are forgotten and further ones not used, without counting. Every virtual
         sensor that reads one, or started from one, stops at once, at all times that can be redone
@@ -172,18 +182,77 @@ class Steps:
         lost = names - self._told.distrusted
         for name in lost:
             self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
+        gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
+        moved, first = self._lose(lost, gone, now, onsets) if self._past else ([], None)
         if self._now is not None:  # it may be trusted at any time before the next step
             now = max(self._now, now or self._now) + self.period - 1
         self._told.distrust(names, now)
         if lost:
-            gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
+            self._measured.forget(gone[:len(self.sensors)], stopped)
             stop = [s._replace(running=s.running & ~stopped,
                                told=s.told._replace(there=s.told.there & ~gone))
                     for s in (*self._settled, *self._past)]
             self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
-            self._measured.forget(gone[:len(self.sensors)], stopped)
-            self._estimates = self._unseen = None
+            self._stand_anew(moved, first)
+        self._measured.all_trusted = not names
+
+    def _lose(self, lost: Collection[str], gone: np.ndarray, now: int | None,
+              onsets: Mapping[str, int]) -> tuple[list[int], int | None]:
+        """
+        Let the free runs go on whose trackers read what is lost, (L + m,) bool.
+
+        Return whose stand elsewhere now, and the first tick at which one stands anew.
+        """
+        reads = self._batch.starts_on
+        now = self._at(self._past[-1].tick) if now is None else now
+        moved, begun = [], []
+        for i, tracked in enumerate(self._runs.tracked):
+            if reads[tracked.free, gone].any():
+                self._runs.drop(i)
+            elif reads[tracked.tracker, gone].any():
+                began = min([now, *(onsets.get(name, now) for name in lost if reads[
+                    tracked.tracker, self.sensors.index(name)])])
+                tick = self._clean(i, began)
+                if not self._runs.goes_on(i, tick):
+                    moved.append(i)
+                    begun.append(self._runs.lose(i, tick, self._past))
+        return moved, min((tick for tick in begun if tick is not None), default=None)
+
+    def _clean(self, i: int, time: int) -> int:
+        """Return the last tick of a tracker that a fault does not reach: see `distrust`."""
+        found = time
+        for sensor in self._runs.tracked[i].channels:
+            name = self.sensors[sensor]
+            samples = self._told.samples[name]
+            last = min([time, *samples.stamps[-1:]])
+            # a reading at the very end of the guard is between two others, and may be bad
+            found = min(found, samples.before(last - self._guards[name]))
+        return (found - self._at(0)) // self.period
+
+    def _follow(self) -> None:
+        """Let the free runs go on whose trackers have stopped: their channels are silent."""
+        now = self._at(self._past[-1].tick)
+        moved = self._runs.stopped(self._past[-1])
+        begun = [self._runs.lose(i, self._clean(i, now), self._past) for i in moved]
+        self._stand_anew(moved, min((tick for tick in begun if tick is not None), default=None))
+
+    def _stand_anew(self, moved: Collection[int], tick: int | None) -> None:
+        """Stop these free runs, and step anew from the first tick at which one begins anew."""
+        self._estimates = self._unseen = None
+        if moved:
+            stay = np.ones(len(self._everyone), dtype=bool)
+            stay[self._runs.free[list(moved)]] = False
+            self._past = deque(s._replace(running=s.running & stay) for s in self._past)
+        if tick is None:
+            return
+        last = self._past[-1].tick
+        while self._past[-1].tick > tick:
+            self._past.pop()
+        self._past[-1] = self._placed(self._past[-1])
+        with np.errstate(all='ignore'):
+            while self._past[-1].tick < last:
+                self._past.append(self._next(self._past[-1]))
 
     def silent(self, name: str, now: int) -> bool:
         """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
@@ -241,7 +310,10 @@ class Steps:
             while self._past[-1].tick < last:
                 self._past.append(self._next(self._past[-1]))
         self._estimates = self._unseen = None
-        while self._past[0].tick < last - self._span:
+        if self._runs.tracked and not (
+                self._runs.steady and self._past[-1].running is self._everyone):
+            self._follow()
+        while self._past[0].tick < last - self._kept:
             self._settled.append(self._past.popleft())
         if len(self._settled) >= self._measured.record.block:
             self._settle()
@@ -264,7 +336,7 @@ class Steps:
         self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
         if self._redo is None:
             return
-        steps = newest - max(self._redo, self._past[0].tick)
+        steps = newest - max(self._redo, self._past[0].tick, newest - self._span)
         if steps > self._credit:
             return
         self._redo = None
@@ -286,7 +358,10 @@ class Steps:
 
     def _start(self, state: State) -> State:
         """Start every virtual sensor that does not run and could."""
-        new = ~state.running & ~(self._batch.starts_on & ~state.told.there).any(axis=1)
+        new = ~state.running & self._by_itself
+        if not new.any():
+            return state
+        new &= ~(self._batch.starts_on & ~state.told.there).any(axis=1)
         if not new.any():
             return state
         z = np.where(new[:, None], self._batch.start(state.told), state.z)
@@ -300,10 +375,13 @@ class Steps:
         """Step to the next grid time."""
         z, tick = state.z, state.tick + 1
         running, restarts, outside = state.running, state.restarts, state.outside
-        told, broken = self._told.at(self._at(tick)), None
+        told, broken, spread = self._told.at(self._at(tick)), None, None
         if self._step is not None and (running is self._everyone or running.any()):
             commands = self._told.over(self._at(state.tick), self._at(tick))
             z, out = self._step(z, state.told, told, commands)
+            if self._runs.flying and self._spreads.bent:
+                spread = self._spreads.step(state, z, lambda beside: self._batch.step(
+                    beside, state.told, told, commands)[0])
             if out.any():
                 outside = outside + (out & running)
             alive = running
@@ -315,19 +393,46 @@ class Steps:
                 restarts = restarts + broken
                 running = alive & finite
                 z = np.where(running[:, None], z, 0.0)
-        state = State(tick, z, running, state.since, restarts, outside, told)
-        if running is self._everyone:
-            return state
-        if broken is not None and broken.any():
-            return state  # what broke starts anew with the next step
-        return self._start(state)
+        state = State(tick, z, running, state.since, restarts, outside, told, spread)
+        # what broke starts anew with the next step
+        if running is not self._everyone and not (broken is not None and broken.any()):
+            state = self._start(state)
+        return self._placed(state) if self._runs.tracked else state
+
+    def _placed(self, state: State) -> State:
+        """Let those free runs stand anew that begin there."""
+        placed = self._runs.place(state)
+        if placed is state:
+            return placed
+        if self._runs.flying and self._spreads.bent:
+            placed = self._spreads.begin(state, placed)
+        if not placed.running.all():
+            return placed
+        return placed._replace(running=self._everyone)
 
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""
         states, self._settled = self._settled, []
-        ticks, z, running, since, _, _, told = zip(*states)
+        self._measured.add(*self._stacked(states), self._past[-1].tick)
+        self._told.forget(self._at(self._past[0].tick))
+
+    def _stacked(self, states: Iterable[State]) -> tuple[
+            np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
+        """Return ticks, z, running, since, told of states, and the tick of each last reading."""
+        ticks, z, running, since, _, _, told, _ = zip(*states)
         heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
                           for stamp in self._told.last_stamps()], dtype=int)
-        self._measured.add(np.array(ticks), np.array(z), np.array(running), np.array(since),
-                           Told(*map(np.array, zip(*told))), heard)
-        self._told.forget(self._at(self._past[0].tick))
+        return (np.array(ticks), np.array(z), np.array(running), np.array(since),
+                Told(*map(np.array, zip(*told))), heard)
+
+
+def _guards(sensors: tuple[str, ...], given: Mapping[str, float]) -> dict[str, int]:
+    """Return the guard of each sensor in ns; raises BadInput."""
+    for name, guard in given.items():
+        if name not in sensors:
+            raise BadInput('', 'guard', f'{name} is no sensor',
+                           f'name one of {", ".join(sensors)}')
+        if not 0.0 <= guard <= LONGEST_GUARD:
+            raise BadInput('', 'guard', f'{guard} is not a time in s up to {LONGEST_GUARD:g}',
+                           'give one')
+    return {name: round(given.get(name, GUARD) * 1e9) for name in sensors}

@@ -1,8 +1,9 @@
 """
 Watch failed sensors being replaced, over real topics.
 
-Every folder of config/ that has a demo.yaml is a system to show. Exit code 0: every replacement
-met its bar; 1: one did not, or a process died; 2: bad input.
+Every folder of config/ that has a demo.yaml is a system to show; what its truth needs and is not
+here (a recording, MuJoCo) is said. Exit code 0: every replacement met its bar; 1: one did not, or
+a process died; 2: bad input.
 """
 
 from __future__ import annotations

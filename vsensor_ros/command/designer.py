@@ -77,6 +77,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--bounded', action='store_true',
                         help='where unknown inputs cannot be kept out, hand out virtual sensors '
                         'that they disturb, with the gain stated')
+    parser.add_argument('--no-temporary', dest='temporary', action='store_false', default=None,
+                        help='refuse where a virtual sensor would serve for a time only, because '
+                        'a mode stays that no healthy sensor sees')
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
@@ -92,9 +95,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
-    names = ('up_to', 'prefer', 'decay', 'bounded', 'method')
-    return {name: value for name in names
-            if (value := getattr(options, name)) is not None and value is not False}
+    names = ('up_to', 'prefer', 'decay', 'method', 'temporary')
+    chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
+    return {**chosen, 'bounded': True} if options.bounded else chosen
 
 
 def _check_files(options: argparse.Namespace) -> None:

@@ -23,6 +23,7 @@ from vsensor_ros.commissioning.routes import RAW
 from vsensor_ros.commissioning.units import units_of
 from vsensor_ros.node.accessor import field_type, message_type, NAME_ARRAYS, trace
 from vsensor_ros.node.cdr import decode
+from vsensor_ros.node.orientation import ANGLES, EulerAngle
 from vsensor_ros.node.polling import drain, LISTEN, Polled, subscribe
 from vsensor_ros.node.topics import SPEAK
 
@@ -214,6 +215,11 @@ def _leaves(message: Any, place: str, units: tuple[str, ...], element: str,
 
 def _within(value: Any, inner: str, path: str, units: tuple[str, ...], element: str,
             depth: int) -> Iterator[Leaf]:
+    if inner == 'geometry_msgs/Quaternion':
+        for name in ANGLES:
+            said = EulerAngle(name, path).read((value.x, value.y, value.z, value.w))
+            yield Leaf(f'{name}({path})', said if isinstance(said, float) else math.nan, ('rad',),
+                       element, False)
     if '/' in inner:
         if not inner.startswith(_STRANGE) and inner != 'std_msgs/Header':
             yield from _leaves(value, f'{path}.', units, element, depth + 1)

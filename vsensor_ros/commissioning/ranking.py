@@ -29,6 +29,7 @@ COUNTS = -1.0  # a whole number
 # words that mean the same, each line
 _MEANINGS = (
     ('position', 'angle', 'pos', 'theta', 'positions'),
+    ('heading', 'yaw', 'azimuth', 'bearing'),
     ('velocity', 'speed', 'rate', 'omega', 'gyro', 'vel', 'angular', 'twist', 'velocities'),
     ('acceleration', 'accel', 'accelerometer', 'acc'),
     ('effort', 'torque', 'force', 'current', 'load', 'moment'),
@@ -328,8 +329,9 @@ def _commands(candidate: Candidate, wanted: Wanted) -> bool:
 
 
 def _by_axis(wanted: Wanted, candidate: Candidate) -> list[Points]:
-    last = candidate.field.rpartition('.')[2]
-    if last not in ('x', 'y', 'z') or '.' not in candidate.field:
+    angle, of, _ = candidate.field.partition('(')  # yaw(orientation)
+    last = _AXES[angle] if of else candidate.field.rpartition('.')[2]
+    if last not in ('x', 'y', 'z') or not (of or '.' in candidate.field):
         return []
     for name in (wanted.name, *wanted.hints):
         for word in words_of(name):

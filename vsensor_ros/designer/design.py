@@ -28,6 +28,8 @@ from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
+from vsensor_ros.designer.temporary import temporary as for_a_time
+from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.functions.expression import check_name
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
@@ -42,7 +44,7 @@ METHODS = ('jordan', 'identification', 'svd')
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None,
+           method: str | None = None, temporary: bool = True,
            progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
@@ -55,11 +57,13 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     die out, by default as fast as noise allows. ``bounded``: where none can be decoupled from all
     unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
-    latter and, if bounded, to the papers' method of singular values. ``progress`` is told what is
-    done, of how many, and what is next. Raises BadInput for what is not a name of a sensor or a
+    latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
+    stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
+    after its channel was lost. ``progress`` is told what is done, of how many, and what is next.
+    Raises BadInput for what is not a name of a sensor or a
     choice. Source: method, section 3.
     """
-    _check(plant, prefer, decay, bounded, method)
+    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary})
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
     entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
@@ -70,16 +74,18 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
         problem = pose(plant, fault_set, channel, functionals.get(channel))
         lost = _lost_before(entries, problem)
         with _calmly():
-            entries[fault_set, channel] = lost or _answer(problem, prefer, decay, bounded, method)
+            entries[fault_set, channel] = lost or _answer(problem, prefer, decay, bounded, method,
+                                                          temporary)
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
                   dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals),
-                  Cu=plant.Cu if plant.Cu.any() else None)
+                  Cu=plant.Cu if plant.Cu.any() else None, tolerances=dict(plant.tolerances),
+                  ranges=plant.reading_ranges(), wrap=plant.angles())
 
 
-def _check(plant: Plant, prefer: str, decay: float | None, bounded: bool,
-           method: str | None) -> None:
+def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
+           flags: Mapping[str, bool]) -> None:
     if not isinstance(plant, Plant):
         raise BadInput('design', 'plant', f'{shown(plant)} is not a Plant',
                        'make one with load_plant or Plant.from_matrices')
@@ -93,9 +99,10 @@ def _check(plant: Plant, prefer: str, decay: float | None, bounded: bool,
             isinstance(decay, (int, float)) and 0 < decay <= FASTEST)):
         raise BadInput('design', 'decay', f'{shown(decay)} is not a rate',
                        f'give a positive number up to {FASTEST:g}, in 1/s')
-    if not isinstance(bounded, bool):
-        raise BadInput('design', 'bounded', f'{shown(bounded)} is neither True nor False',
-                       'give one of them')
+    for name, flag in flags.items():
+        if not isinstance(flag, bool):
+            raise BadInput('design', name, f'{shown(flag)} is neither True nor False',
+                           'give one of them')
 
 
 def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np.ndarray]:
@@ -196,7 +203,7 @@ def _calmly() -> Iterator[None]:
 
 
 def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
-            method: str | None) -> VirtualSensor | Refusal:
+            method: str | None, temporary: bool) -> VirtualSensor | Refusal:
     """Find the virtual sensor for one problem, preferably without friction unknown at rest."""
     existence, exact = examine(problem), referee(problem)
     doubts = doubtful(existence.gap, 'whether one exists', exact)
@@ -207,30 +214,43 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
     elif exact and obstruction is not None and not existence.hidden and all(exact.solvable):
         doubts = [say(Reason.of('exact: one exists'))]
     if obstruction is not None:
-        refusal = Refusal(problem.channel, problem.fault_set, say(obstruction),
-                          doubts=tuple(doubts))
-        if not bounded:
-            return replace(refusal, alternative=alternative(problem))
-        return certified(problem, singular(problem) if method == 'svd' else (
-            least_sensitive(problem, prefer, decay) or refusal))
+        found: VirtualSensor | Refusal | None = None
+        if bounded:
+            found = singular(problem) if method == 'svd' else least_sensitive(
+                problem, prefer, decay)
+        hidden = existence.hidden and (exact is None or all(exact.solvable))
+        if temporary and hidden and method is None and not isinstance(found, VirtualSensor):
+            lasting = for_a_time(problem)
+            if lasting is not None:
+                return _warned(problem, lasting)
+        if found is not None:
+            return certified(problem, found)
+        return Refusal(problem.channel, problem.fault_set, say(obstruction), tuple(doubts),
+                       '' if bounded else alternative(problem))
     if exact and exact.forced != existence.forced:
         exact = None
     signs = avoidable_signs(problem)
     found = (search_orders(problem, existence, signs, prefer, decay, exact) if method is None
              else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
                                      else 'identification'))
+    return certified(problem, _warned(problem, found))
+
+
+def _warned(problem: Problem, found: VirtualSensor | Refusal) -> VirtualSensor | Refusal:
+    """Say of a virtual sensor that computes friction from a measured speed that it does."""
     risky = measured_signs(problem)
     if isinstance(found, VirtualSensor) and risky & set(found.active):
         unsure = Reason.of('unsure at rest',
                            terms=tuple(problem.plant.terms[i].name for i in sorted(risky)))
         found = replace(found, method=f'{found.method}; {say(unsure)}')
-    return certified(problem, found)
+    return found
 
 
 def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor | Refusal:
-    """Add to a virtual sensor how far its stability is proved and its start may be off."""
+    """Add how far its stability is proved, its start may be off, and how its channel tracks it."""
     if isinstance(entry, VirtualSensor):
-        return replace(started(problem, entry), certificate=certify(problem.plant, entry))
+        return replace(tracked(problem, started(problem, entry)),
+                       certificate=certify(problem.plant, entry))
     return entry
 
 

@@ -140,6 +140,14 @@ def candidates(known: Quotient, noise: NoiseModel, space: InvariantSpace,
         yield member(best.x.reshape(size))
 
 
+def plain_candidate(known: Quotient, space: InvariantSpace) -> Candidate:
+    """Return the observer on an invariant space without the free gain, stable or not."""
+    outputs = solve_left(np.vstack([space.W, known.E]), known.v)
+    k = len(space.W)
+    return Candidate(space.W @ known.Phi, space.N, space.j @ known.R + space.W @ known.J,
+                     outputs[:, :k], outputs[:, k:] @ known.R + known.q)
+
+
 def _with_gain(space: InvariantSpace, outputs: np.ndarray, M: np.ndarray,
                ) -> tuple[np.ndarray, ...]:
     """Return W (without M T E), N, j, Cv and g of the observer of ``(W + M T E) xi``."""

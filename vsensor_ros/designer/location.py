@@ -51,7 +51,7 @@ class Location:
 def locations(plant: Plant, candidates: Mapping[str, Any] | None = None,
               up_to: int = 1) -> tuple[Location, ...]:
     """
-    Tell for each candidate sensor what could be lost with it that cannot be lost now; best first.
+    Tell for each candidate sensor what could be lost for good that cannot be now; best first.
 
     ``candidates``: rows (n,) of what the new sensor would measure, by name; by default each state
     that no sensor measures alone. The new sensor is taken to stay healthy, and to read neither

@@ -4,7 +4,8 @@ What noise does to an estimate, and the least that it can do: the Kalman filter'
 Readings carry white noise of the plant's standard deviations, one value each INTERVAL (or, when
 the plant's own rates ask for it, faster); states are moved by the plant's process noise. Where the
 plant gives no figures, readings err by RELATIVE of the state's natural size, and the process by
-ROUGH times as much within a mean time constant: the model is rougher than the sensors.
+ROUGH times as much within a mean time constant: the model is rougher than the sensors. A slow
+state is moved by SLOW of that.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ INTERVAL = 0.01  # s, between readings of a continuous plant: the replacer's def
 PER_TIME_CONSTANT = 10.0  # readings, at least, in a mean time constant of the plant
 RELATIVE = 0.01
 ROUGH = 3.0
+SLOW = 0.01
 FAINTEST = 1e-6  # a noise of zero is taken as this much of the largest
 
 
@@ -38,6 +40,8 @@ class NoiseModel:
     interval: float  # s between readings; 1 for a discrete plant
     sample_time: float | None
     assumed: bool  # some figures are defaults
+    typical: float  # noise of a reading, of its natural size
+    usual: float  # of process, as that
 
     def drives(self, known: Quotient) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -97,16 +101,21 @@ def noise_model(problem: Problem) -> NoiseModel:
     h = plant.sample_time
     given = plant.noise[[plant.sensors.index(s) for s in problem.healthy]] / problem.y0_size
     # the natural size of the scaled states is what makes given noise RELATIVE of it
-    typical = np.nanmedian(given) if np.any(given > 0) else RELATIVE
+    typical = float(np.nanmedian(given)) if np.any(given > 0) else RELATIVE
     typical = typical if typical > 0 else RELATIVE
-    reading = np.where(np.isnan(given), typical, given)
-    reading = np.maximum(reading, FAINTEST * max(reading.max(initial=0.0), typical))
     process = plant.process_noise / problem.scale
-    usual = ROUGH * typical * np.sqrt(2.0 * rate * (1.0 if h is None else h))
+    usual = float(ROUGH * typical * np.sqrt(2.0 * rate * (1.0 if h is None else h)))
     return NoiseModel(
-        reading, np.where(np.isnan(process), usual, process),
+        given_or(given, typical),
+        np.where(np.isnan(process), np.where(plant.slow, SLOW, 1.0) * usual, process),
         min(INTERVAL, 1.0 / (PER_TIME_CONSTANT * rate)) if h is None else 1.0, h,
-        bool(np.isnan(given).any() or np.isnan(process).any()))
+        bool(np.isnan(given).any() or np.isnan(process).any()), typical, usual)
+
+
+def given_or(given: np.ndarray, typical: float) -> np.ndarray:
+    """Return the noise of readings, where none is given the typical one, and none without any."""
+    reading = np.where(np.isnan(given), typical, given)
+    return np.asarray(np.maximum(reading, FAINTEST * max(reading.max(initial=0.0), typical)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +147,11 @@ def kalman(known: Quotient, noise: NoiseModel, shift: float = 0.0) -> Filter | N
     W = W + np.eye(r) * FAINTEST**2 * np.trace(W) / r
     try:
         if noise.sample_time is None:
-            P = _riccati(A + shift * np.eye(r), E, W, meter, cross)
+            P = riccati(A + shift * np.eye(r), E, W, meter, cross)
             L, Cv, g = np.linalg.solve(meter, (P @ E.T + cross).T).T, known.v, none
         else:
             grow = np.exp(shift * noise.sample_time)
-            P = _riccati_in_steps(grow * A, grow * E, W, meter, grow * cross)
+            P = riccati_in_steps(grow * A, grow * E, W, meter, grow * cross)
             seen = E @ P @ E.T
             L = np.linalg.solve(grow**2 * seen + meter,
                                 (grow**2 * A @ P @ E.T + grow * cross).T).T / grow
@@ -167,7 +176,7 @@ def _at_once(known: Quotient, noise: NoiseModel, P: np.ndarray) -> float:
                   + np.sum((g @ R + q) ** 2, axis=1)).max(initial=0.0))
 
 
-def _riccati_in_steps(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.ndarray,
+def riccati_in_steps(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.ndarray,
                       cross: np.ndarray) -> np.ndarray:
     """
     Solve ``P = A P A' + W - K (E P E' + meter) K'``, ``K`` the gain, for the stabilising P.
@@ -193,7 +202,7 @@ def _riccati_in_steps(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.nda
     raise np.linalg.LinAlgError('a mode on the boundary')
 
 
-def _riccati(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.ndarray,
+def riccati(A: np.ndarray, E: np.ndarray, W: np.ndarray, meter: np.ndarray,
              cross: np.ndarray) -> np.ndarray:
     """
     Solve ``A P + P A' + W = (P E' + cross) meter^-1 (P E' + cross)'`` for the stabilising P.

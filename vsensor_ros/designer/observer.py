@@ -8,6 +8,7 @@ that counts is therefore that of ``N = A_* + J_F Cv``, not that of A_* (method, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import matrix_balance
@@ -62,16 +63,18 @@ def acting(problem: Problem, Phi: np.ndarray) -> np.ndarray:
     return np.abs(Phi @ problem.P).max(axis=0, initial=0.0) > 1e2 * RANK_TOLERANCE * size
 
 
-def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor | None:
+def build(problem: Problem, candidate: Candidate, method: str,
+          temporary: bool = False) -> VirtualSensor | None:
     """
     Turn a candidate into a virtual sensor in the user's coordinates.
 
-    None when an equation fails on fresh arithmetic or the closed loop is not stable.
+    None when an equation fails on fresh arithmetic or the closed loop is not stable, which it need
+    not be if it is to be ``temporary``.
     """
     plant = problem.plant
     candidate = _tidied(problem, candidate)
     eigenvalues, stays = lasting(candidate.N, plant.sample_time, problem.speed)
-    if stays.any():
+    if stays.any() and not temporary:
         return None
     acts = acting(problem, candidate.Phi)
     known, k = np.vstack([candidate.Phi, problem.C0]), len(candidate.Phi)
@@ -111,11 +114,13 @@ def build(problem: Problem, candidate: Candidate, method: str) -> VirtualSensor 
         Gz=tuple(Gz), Gy=tuple(Gy), terms=plant.terms, sample_time=plant.sample_time,
         z0=Phi @ plant.initial - z0_gain @ (C0 @ plant.initial), z0_gain=z0_gain,
         eigenvalues=eigenvalues[np.lexsort([eigenvalues.imag, eigenvalues.real])],
-        noise_gain=peak(N, J, Cv, Q, plant.sample_time)[0], method=method,
+        noise_gain=np.inf if temporary else peak(N, J, Cv, Q, plant.sample_time)[0],
+        method=method, grade='temporary' if temporary else 'exact',
         Qu=problem.wanted[1] - Q @ Cu, Gu=tuple(-gy @ Cu for gy in Gy))
     if max(equation_residuals(problem, sensor).values()) > EQUATION_TOLERANCE:
         return None
-    return sensor if stable_with_terms(plant, sensor) else None
+    passes = leaves_one_branch if temporary else partial(stable_with_terms, plant)
+    return sensor if passes(sensor) else None
 
 
 def polished(problem: Problem, candidate: Candidate) -> Candidate:
@@ -148,18 +153,26 @@ def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
     """
     Tell whether nothing in the nonlinear terms speaks against stability at the operating point.
 
-    Their slopes there are added to N; and in continuous time a sign must push its own argument
-    towards zero, as dry friction does: otherwise the observer has two stable branches (the
-    method, erratum 1, k7 = +1). A certificate is more: see certificate.py.
+    Their slopes there are added to N. A certificate is more: see certificate.py.
     """
     if not sensor.active:
         return True  # judged already, in scaled coordinates
-    for i in sensor.active:
-        if set_valued(sensor.terms[i]) and sensor.sample_time is None:
-            if float(sensor.Gz[i][0] @ sensor.P[:, i]) > 0:
-                return False
+    if not leaves_one_branch(sensor):
+        return False
     N = matrix_balance(linearised(plant, sensor)[0], permute=False)[0]
     return not lasting(N, sensor.sample_time)[1].any()
+
+
+def leaves_one_branch(sensor: VirtualSensor) -> bool:
+    """
+    Tell whether each sign pushes its own argument towards zero in continuous time.
+
+    Dry friction does. Otherwise the observer has two stable branches (the method, erratum 1,
+    k7 = +1).
+    """
+    return sensor.sample_time is not None or not any(
+        set_valued(sensor.terms[i]) and float(sensor.Gz[i][0] @ sensor.P[:, i]) > 0
+        for i in sensor.active)
 
 
 def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndarray]:

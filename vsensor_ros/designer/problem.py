@@ -79,6 +79,10 @@ class Problem:
         """Outputs that the papers' designs may use: the healthy ones and v itself (l + 1, n)."""
         return np.vstack([self.C0, self.V])
 
+    def size_of(self, sensors: list[int]) -> np.ndarray:
+        """Return the natural sizes of readings by the sensors' indices, in their units."""
+        return _length(self.plant.C[sensors] * self.scale)
+
     def decoupled(self, S: frozenset[int]) -> np.ndarray:
         """Unknown inputs together with the columns of the nonlinear terms in S."""
         return np.hstack([self.D, self.P[:, sorted(S)]])

@@ -10,6 +10,7 @@ from vsensor_ros.engine.events import (
     IsolationReport,
     IsolationSource,
     Remark,
+    Reserve,
     Substitute,
     together,
 )
@@ -32,6 +33,7 @@ __all__ = [
     'Live',
     'Policy',
     'Remark',
+    'Reserve',
     'Setup',
     'Source',
     'StreamPlan',

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
+from vsensor_ros.bank import Angle
 from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.switch import Decision, Source
 from vsensor_ros.reason import Reason
@@ -31,13 +32,16 @@ class Channel:
     blend: Bumpless  # what is left of the offset of the last switch
     source: str = REAL  # of what went out last: real, virtual or none
     fault_set: tuple[str, ...] = ()  # of the virtual sensor, if that is the source
+    run: str = ''  # of it
     since: int | None = None  # the last switch
     virtual: int = 0  # in all in virtual mode, up to the last switch
     switches: int = 0
     value: float = math.nan  # that went out last
+    deviation: float = 0.0  # of that, without its offset; inf when not known
     sent: int | None = None  # when
     readings: int = 0  # that came in
     why: Reason | None = None  # there is no valid value of it, though there should be one
+    angle: Angle | None = None  # how it wraps, if it does
 
     def state(self, decision: Decision, silent: Reason | None,
               odd: Reason | None = None) -> tuple[str, Reason | None]:
@@ -55,23 +59,56 @@ class Channel:
         return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
-              above: float | None = None) -> float:
+              above: float | None = None, deviation: float = 0.0, run: str = '') -> float:
         """
         Return what is to go out for the value of a source, which may be another one than before.
 
+        run: which of the runs of a virtual sensor says it. There is no step when that changes, but
+        it is no switch.
+
         above: by how much the old source lies above the new one, NaN if that is not known; None:
-        by what went out last. There is no offset to what was no value, or is too long ago.
+        by what went out last. There is no offset to what was no value, or is too long ago. From
+        one virtual sensor to a surer one it is at most the deviation of that: the error of the
+        old one is not to burden it. What wraps is put into its driver's range, but for a reading
+        with nothing added.
         """
-        if (source, fault_set) != (self.source, self.fault_set):
+        turned = (source, fault_set) != (self.source, self.fault_set)
+        if turned or run != self.run:
             before = offset = math.nan
             if self.source != NONE and self.sent is not None and now - self.sent <= self.max_age:
                 before = self.value
-                offset = before - value if above is None else above + self.blend.left(now)
-            self._turn(source, fault_set, now)
-            self.blend = self.blend.begin(now, offset, before)
-        self.value, self.sent = self.blend.add(value, now), now
-        self.blend = self.blend.sent(self.value)
-        return self.value
+                offset = self.shortest(
+                    before - value if above is None else above + self.blend.left(now))
+                if turned and self.source == source == VIRTUAL and deviation < self.deviation:
+                    offset = max(-deviation, min(offset, deviation))
+            if turned:
+                self._turn(source, fault_set, now)
+            self.blend, self.run = self.blend.begin(now, offset, before), run
+        output = self.blend.add(value, now)
+        if self.angle is None:
+            self.blend = self.blend.sent(output)
+        else:
+            if source != REAL or output != value:
+                output = self.angle.put(output, value if source == REAL else self.value)
+            self.blend = self.blend.sent(self.angle.next_to(output, self.blend.before))
+        self.value, self.sent, self.deviation = output, now, deviation
+        return output
+
+    def shortest(self, difference: float) -> float:
+        """Return a difference of two of its values, the short way round if it wraps."""
+        return difference if self.angle is None else self.angle.shortest(difference)
+
+    def as_said(self, value: float, near: float = math.nan) -> float:
+        """Return a value as its driver would say it; near: next to this, if it need be."""
+        return value if self.angle is None else self.angle.put(value, near)
+
+    def beside(self, interval: tuple[float, float] | None, estimate: float | None,
+               now: int) -> tuple[float, float] | None:
+        """Return an interval about an estimate as one about what went out instead of it."""
+        if self.angle is None or interval is None or estimate is None:
+            return interval
+        turns = self.angle.whole(self.value - self.blend.left(now) - estimate)
+        return interval[0] + turns, interval[1] + turns
 
     def stop(self, now: int) -> None:
         """Note that no value goes out from now on."""

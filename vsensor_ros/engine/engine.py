@@ -21,13 +21,21 @@ from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.commands import Commands
-from vsensor_ros.engine.events import Composition, Forward, IsolationReport, Message, Remark, Token
+from vsensor_ros.engine.events import (
+    Composition,
+    Forward,
+    IsolationReport,
+    Message,
+    Remark,
+    Reserve,
+    Token,
+)
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
 from vsensor_ros.engine.stand_in import StandIn
 from vsensor_ros.engine.state import ChannelState, EngineState, stopped
 from vsensor_ros.engine.stream import Stream, UNREADABLE
-from vsensor_ros.engine.switch import Source, Switch
+from vsensor_ros.engine.switch import Decision, Source, Switch
 from vsensor_ros.engine.ticks import Ticks
 from vsensor_ros.observers import Refusal
 from vsensor_ros.reason import Reason
@@ -45,17 +53,18 @@ class Engine:
         """Begin with all sensors healthy and silent; raises ValueError, one line."""
         self._design = setup.design
         self._bank = Bank(setup.design, setup.rate, setup.max_age, setup.jump_ahead,
-                          setup.command_ends)
+                          setup.command_ends, setup.guard)
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
         self._intake = Intake(self._bank, self._clock)
         self._commands = Commands(setup.design.inputs, self._bank, self._clock, self._intake)
-        self._stand_in = StandIn(self._bank, self._clock, setup.live, self._intake.held,
-                                 self._stream_of)
+        self._stand_in = StandIn(setup.design, self._bank, self._clock, setup.live,
+                                 self._intake.held, self._stream_of)
         blend = Bumpless(setup.live.time_constant)
         self._channels = {
-            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend)
+            s: Channel(s, max(round(setup.max_age[s] * 1e9), 3 * self._bank.period), blend,
+                       angle=self._bank.angles.get(s))
             for s in setup.design.sensors}
         self._streams = [
             Stream(i, plan, [self._channels[s] for s in plan.names], self._clock,
@@ -94,6 +103,9 @@ class Engine:
         jump = self._clock.look(now)
         if self._clock.now != before:
             self._moved = steady
+        if not before or jump > 0:  # what came before the clock began came at 0
+            for stream in self._streams:
+                stream.leap(jump or self._clock.now)
         if not jump:
             return
         self._intake.say('warning', Reason.of(
@@ -106,6 +118,8 @@ class Engine:
 
     def resume(self, now: int | None, steady: float) -> None:
         """Take the time after a rest in which nobody told it; the virtual sensors start anew."""
+        if not self._clock.now:
+            self.look(now, steady)
         self._clock.resume(now)
         self._moved = steady
         if self._bank.time is not None:
@@ -207,7 +221,7 @@ class Engine:
             for channel in self._channels.values():
                 channel.blend = channel.blend.with_time_constant(
                     live.time_constant, self._clock.lasting())
-        self._stand_in.live = live
+        self._stand_in.apply(live)
         self._watch()
         return self._command(lambda _: self._switch.with_policies(live.policies))
 
@@ -273,9 +287,8 @@ class Engine:
         for _ in range(SETTLE):  # what is read decides who is ready, and that who is read
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
-                self._bank.distrust(self._believed, self._ticks.time)
-            self._switch = self._switch.decide(
-                self._clock.lasting(), self._stand_in.ready, self._stand_in.why_not)
+                self._bank.distrust(self._believed, self._ticks.time, self._onsets())
+            self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break
         changed = {s for s, d in self._switch.decisions.items()
@@ -286,6 +299,11 @@ class Engine:
         spoken = [stream for stream in self._streams if not changed.isdisjoint(stream.names)]
         at = self._ticks.time
         return [m for stream in spoken for m in self._speak(stream, at, True)], spoken
+
+    def _onsets(self) -> dict[str, int]:
+        """Return since when, on the clock, isolation says that sensors are faulty."""
+        now, lasting = self._clock.now, self._clock.lasting()
+        return {s: now - (lasting - since) for s, since in self._isolated.items()}
 
     def _speak(self, stream: Stream, at: int, at_once: bool = False) -> Messages:
         """Return what stands in for failed channels; a mistake in one stream ends no other."""
@@ -343,10 +361,39 @@ class Engine:
 
         That is the fault set of a virtual sensor, and its standard deviation [unit of the sensor].
         """
-        for names, key in self._switch.designed[name]:
-            if self._switch.faulty <= names and self._stand_in.ready(key, name):
-                return key, self._bank.deviation(key, name)
-        return None
+        would = self._reserve(name)
+        return None if would.source is not Source.VIRTUAL else \
+            (would.fault_set, self._bank.deviation(would.fault_set, name))
+
+    def _reserve(self, name: str) -> Decision:
+        return self._switch.reserve(name, self._clock.lasting(), self._stand_in)
+
+    def _who_would(self, name: str, would: Decision) -> tuple[str, ...] | None:
+        """Return whose virtual sensor would serve, or comes nearest to that; None: nobody's."""
+        if would.source is Source.VIRTUAL:
+            return would.fault_set
+        return next(iter(self._switch.choice.candidates(self._switch.faulty | {name}, name)), None)
+
+    @property
+    def state_time(self) -> int | None:
+        """Time of the virtual sensors' last step; None before the first."""
+        return self._bank.time
+
+    def reserves(self) -> list[Reserve]:
+        """Return what could be said in place of each healthy sensor, at `state_time`."""
+        found, time = [], self._bank.time
+        for name in (name for stream in self._streams if stream.active for name in stream.names):
+            if name in self._switch.faulty:
+                continue
+            would = self._reserve(name)
+            key = self._who_would(name, would)
+            said = None if key is None or time is None else self._bank.recall(key, name, time)
+            if said is not None:
+                channel, reading = self._channels[name], self._bank.beside(name)
+                reading = math.nan if reading is None else channel.as_said(reading)
+                found.append(Reserve(name, reading, channel.as_said(said[0], near=reading),
+                                     said[1], would.source is Source.VIRTUAL))
+        return found
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
@@ -397,7 +444,8 @@ class Engine:
             entry = self._bank.entry(fault_set, name)
             serves = None if isinstance(entry, Refusal) else entry
             deviation = self._bank.deviation(fault_set, name)
-            interval = self._bank.interval(fault_set, name)
+            interval = channel.beside(self._bank.interval(fault_set, name),
+                                      self._bank.estimate(fault_set, name), lasting)
         elif source == NONE:
             value = math.nan
         else:
@@ -407,8 +455,9 @@ class Engine:
         if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
             reason = silence if reason is None else \
                 Reason.of('both', first=reason, second=silence)
-        recovering = self._switch.recovering.get(name)
-        key = fault_set if serves is not None else (name,)  # of its reserve, while it is real
+        recovering, would = self._switch.recovering.get(name), self._reserve(name)
+        reserve = fault_set if serves is not None else self._who_would(name, would)
+        key = reserve or (name,)
         return ChannelState(
             name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
             '' if serves is None else serves.grade, value, deviation, interval,
@@ -417,8 +466,9 @@ class Engine:
             name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
             _seconds(recovering, lasting), self._residual(name, key), serves,
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or self._switch.reserve(
-                name, lasting, self._stand_in.ready, self._stand_in.why_not))
+            stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason),
+            self._bank.deviation(key, name), self._bank.measured(key, name),
+            self._stand_in.remaining(key, name) if source in (REAL, VIRTUAL) else math.inf)
 
 
 def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:

@@ -48,6 +48,16 @@ class Substitute(NamedTuple):
     offset: float  # in the value, so that there is no step; it dies out
 
 
+class Reserve(NamedTuple):
+    """What would go out in place of a healthy reading, beside it, in the unit of the channel."""
+
+    name: str  # of the channel
+    reading: float  # NaN: there is none
+    estimate: float
+    deviation: float  # standard deviation; inf when not known
+    ready: bool  # it would serve; else it is only looked at
+
+
 class Composition(NamedTuple):
     """A message to be made of a template and sent; `Engine.done` wants to know how it went."""
 

@@ -17,7 +17,8 @@ class Live:
     without_estimate: str  # 'stop', 'hold', 'nan' or 'pass'
     time_constant: float  # s of the decay of an offset at a switch; 0: a plain switch
     policies: Mapping[str, Policy]  # by sensor
-    max_deviation: Mapping[str, float]  # by sensor, in its unit; 0: no limit
+    # by sensor, in its unit; 0: no limit; None: the limits that follow from the design
+    max_deviation: Mapping[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -42,3 +43,5 @@ class Setup:
     simulated: bool  # the clock is a simulation's: it stands still between two looks
     live: Live
     command_ends: Mapping[str, End] = field(default_factory=dict)  # of those that may end
+    # s before the loss of a sensor in which it is not believed afterwards; default: the bank's
+    guard: Mapping[str, float] = field(default_factory=dict)

@@ -9,11 +9,12 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.events import Composition, Substitute
+from vsensor_ros.engine.limits import Limits
 from vsensor_ros.engine.settings import Live
 from vsensor_ros.engine.stream import Stream
 from vsensor_ros.engine.switch import Decision, Source
 from vsensor_ros.engine.wanted import Wanted
-from vsensor_ros.observers import Refusal
+from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 OUT_OF_LINE = 4.0  # standard deviations
@@ -23,7 +24,7 @@ LATE = 0.1  # s that stamps may be off before one speaks of clocks
 class StandIn:
     """Speaks for failed channels, without a step where one source follows another."""
 
-    def __init__(self, bank: Bank, clock: Clock, live: Live,
+    def __init__(self, design: Design, bank: Bank, clock: Clock, live: Live,
                  held: dict[str, float], stream_of: Callable[[str], Stream | None]) -> None:
         """
         Begin with nothing said.
@@ -31,26 +32,59 @@ class StandIn:
         held: by sensor the last value worth holding, which this keeps up to date. stream_of: where
         a sensor is heard, None of a command.
         """
-        self.live = live  # changes while it runs
+        self._design = design
+        self.apply(live)
         self.estimates = 0  # that went out
         self._bank, self._clock, self._held = bank, clock, held
         self._stream_of = stream_of
 
+    def apply(self, live: Live) -> None:
+        """Take over settings that may change."""
+        self.live = live
+        self._limits = Limits(self._design, live.max_deviation)
+
     def ready(self, fault_set: tuple[str, ...], name: str) -> bool:
         """Tell whether a virtual sensor may serve."""
-        return self._bank.ready(fault_set, name) and not self._too_uncertain(fault_set, name)
+        return self._bank.ready(fault_set, name) and self._exceeded(fault_set, name) is None
+
+    def converges(self, fault_set: tuple[str, ...], name: str) -> bool:
+        """Tell whether one that has not forgotten its start knows how little is left of it."""
+        return self._bank.converging(fault_set, name) \
+            and self._bank.deviation(fault_set, name) < math.inf \
+            and self._exceeded(fault_set, name) is None
+
+    def deviation(self, fault_set: tuple[str, ...], name: str) -> float:
+        """Return the standard deviation of an estimate now; infinite when not known."""
+        return self._bank.deviation(fault_set, name)
 
     def why_not(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
         """Return why a virtual sensor may not serve, or None when it may."""
         reason = self._bank.why_not(fault_set, name)
-        if reason is None and self._too_uncertain(fault_set, name):
-            return Reason.of('too uncertain', limit=self.live.max_deviation[name],
-                             deviation=self._bank.deviation(fault_set, name))
-        return self._told_apart(reason)
+        return self._exceeded(fault_set, name) if reason is None else self._told_apart(reason)
 
-    def _told_apart(self, reason: Reason | None) -> Reason | None:
+    def remaining(self, fault_set: tuple[str, ...], name: str) -> float:
+        """Return how long [s] a virtual sensor is good enough yet; inf: its end is not to come."""
+        entry = self._bank.entry(fault_set, name)
+        if entry is None or isinstance(entry, Refusal):
+            return math.inf
+        limit = self._limits.largest(name, self._bank.grows(fault_set, name))
+        return math.inf if limit is None else self._bank.remaining(fault_set, name, limit)
+
+    def _exceeded(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
+        """Return why an estimate is not good enough, or None when it is."""
+        entry = self._bank.entry(fault_set, name)
+        if entry is None or isinstance(entry, Refusal):
+            return None
+
+        def measured() -> float:
+            found = self._bank.measured(fault_set, name)
+            return math.nan if found is None else found.error
+        return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), measured,
+                                     self._bank.grows(fault_set, name))
+
+    def _told_apart(self, reason: Reason) -> Reason:
         """Tell an input that is silent from one whose stamps are of another clock."""
-        if reason is None or reason.code not in ('input silent', 'no reading yet'):
+        if reason.code not in ('input silent', 'no reading yet'):
             return reason
         name = reason.fact('name')
         stream = self._stream_of(name)
@@ -66,10 +100,6 @@ class StandIn:
             return reason
         return Reason.of('input of another clock', name=name, seconds=ahead,
                          clock=self._clock.now * 1e-9)
-
-    def _too_uncertain(self, fault_set: tuple[str, ...], name: str) -> bool:
-        limit = self.live.max_deviation[name]
-        return limit > 0.0 and not self._bank.deviation(fault_set, name) <= limit
 
     def speak(self, stream: Stream, decisions: Mapping[str, Decision],
               distrusted: Collection[str], at: int, at_once: bool = False) -> list[Composition]:
@@ -119,13 +149,14 @@ class StandIn:
         elif channel.source == VIRTUAL and fault_set != channel.fault_set:
             old = self._bank.entry(channel.fault_set, channel.name)
             reads = () if old is None or isinstance(old, Refusal) else old.reads
-            left = channel.value - channel.blend.left(self._clock.lasting()) - value
+            left = channel.shortest(
+                channel.value - channel.blend.left(self._clock.lasting()) - value)
             if not set(distrusted).isdisjoint(reads) and abs(left) > OUT_OF_LINE * deviation:
                 above = math.nan  # what it read was faulty already
         entry = self._bank.entry(fault_set, channel.name)
         assert entry is not None and not isinstance(entry, Refusal)  # for it has an estimate
         return Wanted(value, fault_set, deviation, self._bank.interval(fault_set, channel.name),
-                      entry.grade, above)
+                      entry.grade, above, self._bank.run(fault_set, channel.name))
 
     def _without_estimate(self, channel: Channel, decision: Decision) -> str:
         """Note that nobody serves a channel, and why; return what goes out instead."""

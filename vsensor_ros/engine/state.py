@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+import math
 
+from vsensor_ros.bank import Rehearsal
 from vsensor_ros.engine.commands import CommandState
 from vsensor_ros.observers import Entry
 from vsensor_ros.reason import Reason
@@ -42,6 +44,10 @@ class ChannelState:
     counts: Mapping[Reason, int]  # what was not used or not sent on
     readings: int  # that came in
     reserve: Reason | None  # why nobody could speak for it if it failed now; None: one could
+    # of who serves, else of who would
+    reserve_deviation: float = math.inf  # as it is now
+    rehearsed: Rehearsal | None = None  # beside the healthy sensor, lately; None: not yet
+    remaining_s: float = math.inf  # until it is no longer good enough; inf: that is not to come
 
 
 @dataclass(frozen=True)

@@ -170,6 +170,13 @@ class Stream:
         self._say('error', Reason.of('stamps step back', topic=self.plan.source,
                                      output=self.plan.output, seconds=by * 1e-9))
 
+    def leap(self, ahead: int) -> None:
+        """Take no time [ns] for silence that the clock left out: it jumped ahead, or began."""
+        for sender in self.senders.all:
+            sender.leap(ahead)
+        self._heard = {name: heard + ahead for name, heard in self._heard.items()}
+        self._lacks = {name: (why, at + ahead) for name, (why, at) in self._lacks.items()}
+
     def forget(self) -> None:
         """Begin anew after the clock went back."""
         for sender in self.senders.all:
@@ -415,10 +422,12 @@ class Stream:
         if wanted is not None:
             value = math.nan if wanted.value is None else wanted.value
             if wanted.fault_set is not None:
-                value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above)
+                value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
+                                      wanted.deviation, wanted.run)
             offset = channel.blend.left(lasting) if wanted.fault_set is not None else 0.0
-            return Substitute(value, wanted.fault_set, wanted.deviation, wanted.interval,
-                              wanted.grade, offset)
+            interval = channel.beside(wanted.interval, wanted.value, lasting)
+            return Substitute(value, wanted.fault_set, wanted.deviation, interval, wanted.grade,
+                              offset)
         if not self.fresh(channel.name):
             return None
         value = self._latest[channel.name] if said is None else said

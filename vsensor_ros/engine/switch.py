@@ -8,17 +8,15 @@ What isolation says is believed at once when it says 'faulty', and after a dwell
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
 
+from vsensor_ros.engine.choice import Candidates, Choice, FaultSet
+from vsensor_ros.engine.limits import BEYOND
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
-
-FaultSet = tuple[str, ...]  # in the design's order
-Ready = Callable[[FaultSet, str], bool]
-WhyNot = Callable[[FaultSet, str], Reason | None]
 
 _TOLD = 1_000_000_000  # ns between two looks at the reasons: what they say of times grows old
 _RECOVERY = {'automatic': 'recovering', 'hold': 'held', 'latched': 'latched'}  # reasons' codes
@@ -73,42 +71,27 @@ class Switch:
     recovering (healthy since that time [ns], not yet believed) and those forced. Reports make it
     grow at once; it shrinks, and decisions change, in `decide` only.
 
-    The exact set's virtual sensor serves when it is ready; else the smallest ready one designed
-    for a superset, which reads none of the faulty sensors either; else nobody. Whoever serves
-    goes on as long as it may, with one exception: the exact set's takes over from a superset's
-    when it becomes ready, because it reads more sensors. Whoever was given up during a fault
-    because it was not ready must first be ready for the dwell without interruption, also when
-    nobody serves.
+    A virtual sensor of this set or of a superset, which reads none of the faulty sensors either,
+    serves a channel: which of them is told in `Choice`.
     """
 
     design: Design
     policies: Mapping[str, Policy]
     decisions: Mapping[str, Decision]
+    choice: Choice
     faulty: frozenset[str] = frozenset()
     reported: frozenset[str] = frozenset()
     silent: frozenset[str] = frozenset()
     forced: frozenset[str] = frozenset()
     recovering: Mapping[str, int] = field(default_factory=dict)
-    # by faulty channel: who was given up because it was not ready, and since when it is again
-    lost: Mapping[str, Mapping[FaultSet, int | None]] = field(default_factory=dict)
     latest: int = 0  # ns, of all times noted here: a clock that shows less was set back
     told: int | None = None  # ns at which the reasons were found; None: they are not up to date
-    # by channel: the fault sets that it has a virtual sensor for, the smallest first
-    designed: Mapping[str, tuple[tuple[frozenset[str], FaultSet], ...]] = field(
-        default_factory=dict)
 
     @classmethod
     def of(cls, design: Design, policies: Mapping[str, Policy] | None = None) -> Switch:
         """Begin with all sensors healthy; those that have no policy get the default one."""
-        names = design.sensors
-        designed: dict[str, list[FaultSet]] = {s: [] for s in names}
-        for (fault_set, channel), entry in design.entries.items():
-            if channel in designed and not isinstance(entry, Refusal):  # no wanted functional
-                designed[channel].append(fault_set)
         return cls(design, _complete(design, policies or {}),
-                   dict.fromkeys(names, Decision(Source.REAL)),
-                   designed={s: tuple((frozenset(key), key) for key in sorted(keys, key=len))
-                             for s, keys in designed.items()})
+                   dict.fromkeys(design.sensors, Decision(Source.REAL)), Choice.of(design))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -146,8 +129,8 @@ class Switch:
             return self
         others = self.failed | self.recovering.keys() | self.forced
         for channel in (name, *(s for s in self.sensors if s in others)):
-            left = self._candidates(others | {name}, channel)
-            if left or (channel != name and not self._candidates(others, channel)):
+            left = self.choice.candidates(others | {name}, channel)
+            if left or (channel != name and not self.choice.candidates(others, channel)):
                 continue
             failed = ', '.join(s for s in self.sensors if s in others | {name})
             raise ValueError(f'{name}: cannot be forced; no virtual sensor is designed that '
@@ -186,9 +169,11 @@ class Switch:
     def reset(self, time: int) -> Switch:
         """Forget forces and all that recovering sensors wait for; what is reported stays."""
         decisions = self._without_notes(self.sensors)
-        if not (self.forced or self.recovering or self.lost) and decisions == self.decisions:
+        choice = self.choice.only(frozenset())
+        if not (self.forced or self.recovering) and choice is self.choice and \
+                decisions == self.decisions:
             return self
-        return replace(self, forced=frozenset(), recovering={}, lost={}, told=None,
+        return replace(self, forced=frozenset(), recovering={}, choice=choice, told=None,
                        decisions=decisions)
 
     def with_policies(self, policies: Mapping[str, Policy]) -> Switch:
@@ -203,50 +188,50 @@ class Switch:
 
     # ----------------------------------------------------------------------------- decisions
 
-    def decide(self, time: int, ready: Ready, why_not: WhyNot) -> Switch:
+    def decide(self, time: int, asked: Candidates) -> Switch:
         """
         Decide who serves each channel now; to be called after events and at each tick.
 
-        ready tells whether a virtual sensor, given by its fault set and channel, may serve;
-        why_not says why it may not. A dwell that began after `time` begins then: a clock
-        that was set back delays a recovery by no more than the dwell.
+        A dwell that began after `time` begins then: a clock that was set back delays a recovery by
+        no more than the dwell.
         """
         if not self.faulty and not self.forced and time >= self.latest:
             return self
         if time < self.latest:
-            return self._set_back(time).decide(time, ready, why_not)
+            return self._set_back(time).decide(time, asked)
         recovering = {s: t for s, t in self.recovering.items() if not self._over(s, t, time)}
         if len(recovering) < len(self.recovering):
-            return replace(self, recovering=recovering, told=None).decide(time, ready, why_not)
-        lost = self._lost(time, ready)
-        may_serve = _unless_lost(lost, ready)
-        faulty, ended, blocked = self._force(may_serve)
-        lost = {s: keys for s, keys in lost.items() if s in faulty}
-        may = {s: self._candidates(faulty, s) for s in self.sensors if s in faulty}
-        servers = {s: self._choose(s, may[s], len(may), may_serve) for s in may}
+            return replace(self, recovering=recovering, told=None).decide(time, asked)
+        choice = self.choice.given_up(self.faulty, self._serving(), {
+            s: self._dwell(s) for s in self.faulty}, time, asked)
+        noted = replace(self, choice=choice)
+        faulty, ended, blocked = noted._force(asked)
+        servers = {s: noted._server(s, faulty, time, asked) for s in self.sensors if s in faulty}
         servers.update(dict.fromkeys(self.faulty - faulty, _REAL))
+        choice = choice.only(faulty).compared(faulty, {
+            s: key for s, (source, key) in servers.items() if source is Source.VIRTUAL},
+            time, asked)
         changed = any(server != (self.decisions[s].source, self.decisions[s].fault_set)
                       for s, server in servers.items())
-        if not changed and faulty == self.faulty and lost == self.lost and not ended and \
+        if not changed and faulty == self.faulty and choice is self.choice and not ended and \
                 self.told is not None and 0 <= time - self.told < _TOLD:
             return self
-        new = replace(self, faulty=faulty, forced=self.forced - ended, lost=lost, latest=time,
+        new = replace(self, faulty=faulty, forced=self.forced - ended, choice=choice, latest=time,
                       told=time)
-        decisions = {s: new._decision(s, *servers.get(s, _REAL), blocked, why_not)
+        decisions = {s: new._decision(s, *servers.get(s, _REAL), blocked, asked)
                      for s in self.sensors}
         return replace(new, decisions=decisions)
 
-    def reserve(self, name: str, time: int, ready: Ready, why_not: WhyNot) -> Reason | None:
-        """Return why nobody would serve a channel if it were reported, too; None: one would."""
+    def reserve(self, name: str, time: int, asked: Candidates) -> Decision:
+        """Return what would be decided for a channel if it were reported faulty, too."""
         if self.forced:  # that may end then
-            would = self.isolate(self.reported | {name}, time).decide(time, ready, why_not)
-            decision = would.decisions[name]
-            return None if decision.source is Source.VIRTUAL else decision.reason
+            would = replace(self.isolate(self.reported | {name}, time), told=None)
+            return would.decide(time, asked).decisions[name]
         faulty = self.faulty | {name}
         failing = replace(self, faulty=faulty, reported=self.reported | {name})
-        source, _ = failing._choose(name, failing._candidates(faulty, name), len(faulty),
-                                    _unless_lost(self.lost, ready))
-        return None if source is Source.VIRTUAL else failing._lack(name, faulty, why_not)
+        source, fault_set = failing._server(name, faulty, time, asked)
+        return Decision(source, fault_set, None if source is Source.VIRTUAL else
+                        failing._lack(name, faulty, asked))
 
     # --------------------------------------------------------------------------- what follows
 
@@ -269,9 +254,8 @@ class Switch:
     def _set_back(self, time: int) -> Switch:
         return replace(
             self, latest=time, told=None,
-            recovering={s: min(t, time) for s, t in self.recovering.items()},
-            lost={s: {key: None if t is None else min(t, time) for key, t in keys.items()}
-                  for s, keys in self.lost.items()})
+            choice=self.choice.set_back(time),
+            recovering={s: min(t, time) for s, t in self.recovering.items()})
 
     def _dwell(self, name: str) -> int:
         return round(self.policies[name].dwell * 1e9)
@@ -279,61 +263,45 @@ class Switch:
     def _over(self, name: str, since: int, time: int) -> bool:
         return self.policies[name].recovery == 'automatic' and time - since >= self._dwell(name)
 
-    def _candidates(self, faulty: frozenset[str], channel: str) -> tuple[FaultSet, ...]:
-        return tuple(key for names, key in self.designed[channel] if faulty <= names)
+    def _serving(self) -> dict[str, FaultSet]:
+        return {s: d.fault_set for s, d in self.decisions.items() if d.source is Source.VIRTUAL}
 
-    def _force(self, ready: Ready) -> tuple[frozenset[str], frozenset[str], dict[str, str]]:
+    def _server(self, name: str, faulty: frozenset[str], time: int,
+                asked: Candidates) -> tuple[Source, FaultSet]:
+        """Return who serves a channel when all of these are faulty."""
+        key = self.choice.choose(name, faulty, self.decisions[name].fault_set, time, asked)
+        return (Source.NONE, ()) if key is None else (Source.VIRTUAL, key)
+
+    def _force(self, asked: Candidates) -> tuple[frozenset[str], frozenset[str], dict[str, str]]:
         """Return the effective set, whose force ends, and by forced one whom it would harm."""
         core = faulty = self.failed | self.recovering.keys()
         ended, blocked = set(), {}
         wanted = [s for s in self.sensors if s in self.forced - core]
         for name in sorted(wanted, key=lambda s: self.decisions[s].source is not Source.VIRTUAL):
-            harmed = self._harmed(core, faulty | {name}, ready)
+            serves = self.decisions[name].source is Source.VIRTUAL
+            harmed = self._harmed(core, faulty | {name}, asked)
+            if harmed is None and not serves and \
+                    self.choice.better_to_come(faulty | {name}, name, asked):
+                harmed = name  # which is live: nothing is lost by waiting
             if harmed is None:
                 faulty |= {name}
                 continue
             blocked[name] = harmed
-            if self.decisions[name].source is Source.VIRTUAL:
+            if serves:
                 ended.add(name)
         return faulty, frozenset(ended), blocked
 
-    def _harmed(self, core: frozenset[str], faulty: frozenset[str], ready: Ready) -> str | None:
+    def _harmed(self, core: frozenset[str], faulty: frozenset[str],
+                asked: Candidates) -> str | None:
         """Return who has no virtual sensor when all of these are faulty, and could without."""
         for channel in self.sensors:
             if channel in faulty:
-                left = self._candidates(faulty, channel)
-                if not any(ready(key, channel) for key in left) and (
-                        channel not in core or left != self._candidates(core, channel)):
+                left = self.choice.candidates(faulty, channel)
+                present = self.decisions[channel].fault_set
+                if not any(self.choice.able(key, channel, present, asked) for key in left) and (
+                        channel not in core or left != self.choice.candidates(core, channel)):
                     return channel
         return None
-
-    def _lost(self, time: int, ready: Ready) -> dict[str, dict[FaultSet, int | None]]:
-        """Note by channel who was given up, until it has been ready again for the dwell."""
-        found: dict[str, dict[FaultSet, int | None]] = {}
-        for name, d in self.decisions.items():
-            keys = {key: (time if since is None else since) if ready(key, name) else None
-                    for key, since in self.lost.get(name, {}).items()}
-            if d.source is Source.VIRTUAL and self.faulty.issubset(d.fault_set) and \
-                    not ready(d.fault_set, name):
-                keys[d.fault_set] = None
-            keys = {key: since for key, since in keys.items()
-                    if since is None or time - since < self._dwell(name)}
-            if keys:
-                found[name] = keys
-        return found
-
-    def _choose(self, name: str, candidates: tuple[FaultSet, ...], size: int,
-                ready: Ready) -> tuple[Source, FaultSet]:
-        """Choose the virtual sensor that serves when so many sensors are faulty."""
-        present = self.decisions[name].fault_set
-        if present in candidates and ready(present, name) and (
-                present == candidates[0] or len(candidates[0]) > size
-                or not ready(candidates[0], name)):  # the exact set's is the smallest
-            return Source.VIRTUAL, present
-        for key in candidates:
-            if ready(key, name):
-                return Source.VIRTUAL, key
-        return Source.NONE, ()
 
     # ------------------------------------------------------------------------------ reasons
 
@@ -345,50 +313,58 @@ class Switch:
         return decisions
 
     def _decision(self, name: str, source: Source, fault_set: FaultSet,
-                  blocked: Mapping[str, str], why_not: WhyNot) -> Decision:
+                  blocked: Mapping[str, str], asked: Candidates) -> Decision:
         """Add why the channel is served as it is."""
         reason: Reason | None = None
         if name in blocked:
             harmed = blocked[name]
             code = 'force waits' if name in self.forced else 'force ended'
-            why = self._lack(harmed, self.faulty | {name}, why_not)
+            why = self._lack(harmed, self.faulty | {name}, asked)
             reason = Reason.of(code, why=why) if harmed == name else \
                 Reason.of(f'{code} for another', harmed=harmed, why=why)
         elif source is Source.NONE:
-            reason = self._lack(name, self.faulty, why_not)
+            reason = self._lack(name, self.faulty, asked)
         elif source is Source.VIRTUAL:
             reason = self._why(name)
+            if (left := asked.why_not(fault_set, name)) is not None:
+                reason = Reason.of('serves early', why=reason, left=left)
             if len(fault_set) > len(self.faulty):
                 exact = tuple(s for s in self.sensors if s in self.faulty)
                 reason = Reason.of('served by a superset', why=reason,
-                                   exact=self._lack_of(exact, name, why_not))
+                                   exact=self._lack_of(exact, name, asked))
         elif self.decisions[name].source is source and name not in self.forced:
             return self.decisions[name]  # with the note, if any, that a force ended
         return Decision(source, fault_set, reason)
 
-    def _lack(self, name: str, faulty: frozenset[str], why_not: WhyNot) -> Reason:
+    def _lack(self, name: str, faulty: frozenset[str], asked: Candidates) -> Reason:
         """Return why neither the exact set's virtual sensor serves nor the next best."""
         exact = tuple(s for s in self.sensors if s in faulty)
-        lack = self._lack_of(exact, name, why_not)
-        for key in self._candidates(faulty, name):
+        lack = self._lack_of(exact, name, asked)
+        for key in self.choice.candidates(faulty, name):
             if key != exact:
                 return Reason.of('next best', exact=lack, fault_set=key,
-                                 next=self._lack_of(key, name, why_not))
+                                 next=self._lack_of(key, name, asked))
         return lack
 
-    def _lack_of(self, fault_set: FaultSet, name: str, why_not: WhyNot) -> Reason:
+    def _lack_of(self, fault_set: FaultSet, name: str, asked: Candidates) -> Reason:
         entry = self.design.entries.get((fault_set, name))
         if isinstance(entry, Refusal):
             return Reason.of('refused', text=entry.reason)
-        if entry is not None:
-            again = self.lost.get(name, {}).get(fault_set)
-            if again is not None:
-                return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
-                                 dwell=self.policies[name].dwell)
-            return why_not(fault_set, name) or Reason('ready just now')
-        return Reason.of('no design', failed=tuple(
-            s if s in self.reported else Reason.of('named', name=s, why=self._why(s))
-            for s in fault_set))
+        if entry is None:
+            return Reason.of('no design', failed=tuple(
+                s if s in self.reported else Reason.of('named', name=s, why=self._why(s))
+                for s in fault_set))
+        lost, why = self.choice.lost.get(name, {}), asked.why_not(fault_set, name)
+        if (again := lost.get(fault_set)) is not None:
+            return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
+                             dwell=self.policies[name].dwell)
+        if fault_set in lost and (fault_set, name) in self.choice.temporary:
+            if why is None:
+                return Reason('had its time')
+            if why.code in BEYOND:
+                return Reason.of('served its time', why=why)
+        return why or Reason.of('less sure', fault_set=fault_set,
+                                deviation=asked.deviation(fault_set, name))
 
     def _why(self, name: str) -> Reason:
         """Return why a faulty sensor is not believed."""
@@ -400,13 +376,6 @@ class Switch:
             policy = self.policies[name]
             return Reason.of(_RECOVERY[policy.recovery], dwell=policy.dwell)
         return Reason('forced')
-
-
-def _unless_lost(lost: Mapping[str, Mapping[FaultSet, int | None]], ready: Ready) -> Ready:
-    """Return who may serve: those that are ready, but not who was given up and has to wait."""
-    def may_serve(key: FaultSet, channel: str) -> bool:
-        return key not in lost.get(channel, ()) and ready(key, channel)
-    return may_serve
 
 
 def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:

@@ -16,6 +16,7 @@ class Wanted(NamedTuple):
     interval: tuple[float, float] | None = None  # in which the truth lies
     grade: str = ''
     above: float | None = None  # see Channel.serve
+    run: str = ''  # of the virtual sensor
 
 
 # what a virtual sensor (fault set, channel) said of a time [ns]: value, deviation, interval

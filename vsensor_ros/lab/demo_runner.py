@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass
-import json
 import math
-import os
 from pathlib import Path
 import sys
 import time
@@ -16,38 +13,19 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer import design
+from vsensor_ros.lab.balance_demo import show_balance
 from vsensor_ros.lab.config_folder import config_folder
 from vsensor_ros.lab.demo_failover import fail_over, Moment, Run
 from vsensor_ros.lab.demo_picture import draw
+from vsensor_ros.lab.demo_table import Result, Row, table, write_summary
 from vsensor_ros.lab.process import Failed
 from vsensor_ros.observers import Refusal
 from vsensor_ros.plant import load_plant
+from vsensor_ros.simulate.balance import is_balance
 from vsensor_ros.simulate.judge import judge, replaced
+from vsensor_ros.simulate.mujoco_machine import NoMujoco
 from vsensor_ros.simulate.recording import NoRecording
 from vsensor_ros.simulate.scenario import load_scenario, Scenario
-
-
-@dataclass(frozen=True)
-class Row:
-    """One system's line of the summary; RMSEs in `unit`, None where nothing was measured."""
-
-    system: str
-    failed_sensor: str
-    order: int
-    latency_ms: float | None    # from the isolation message to the first replaced message
-    rmse: float | None          # of the replacement, against the truth at the same stamps
-    rmse_hold: float | None     # of the last reading before the fault, at the same stamps
-    unit: str
-
-
-@dataclass(frozen=True)
-class Result:
-    """One system's outcome."""
-
-    row: Row
-    bar: float
-    bar_text: str
-    passed: bool
 
 
 def show(folder: Path, output: Path, say: Callable[[str], None],
@@ -97,7 +75,7 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
     draw(scenario, run.heard, run.deviation, verdict, output / f'{system}.png')
     row = Row(system, failed, virtual.order, verdict.latency_ms, verdict.rmse, verdict.rmse_hold,
               scenario.unit)
-    return Result(row, scenario.bar, scenario.bar_text, verdict.passed)
+    return Result(row, scenario.bar, f'the RMSE allowed is {scenario.bar_text}', verdict.passed)
 
 
 def told_of(scenario: Scenario, run: Run) -> list[str]:
@@ -142,37 +120,6 @@ def _line(scenario: Scenario, now: float, value: float, isolated: bool) -> str:
     return (f'{now:8.1f} s  [{bar}]  {scenario.failed_sensor} '
             f'{"REPLACED" if isolated else "measured"} {value:9.4f}, truth {truth:9.4f} '
             f'{scenario.unit}')
-
-
-def table(results: Sequence[Result]) -> str:
-    """Return the closing table as text."""
-    head = ['system', 'failed', 'order', 'isolation to', 'RMSE of', 'RMSE of last', 'allowed', '']
-    second = ['', 'sensor', '', 'replaced', 'replacement', 'value held', 'RMSE', '']
-    lines = [head, second]
-    for result in results:
-        row = result.row
-        lines.append([row.system, row.failed_sensor, str(row.order),
-                      _number(row.latency_ms, 'ms'), _number(row.rmse, row.unit),
-                      _number(row.rmse_hold, row.unit), _number(result.bar, row.unit),
-                      'ok' if result.passed else 'FAILED'])
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    texts = ['  '.join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip()
-             for line in lines]
-    rule = '-' * max(map(len, texts))
-    return '\n'.join([*texts[:2], rule, *texts[2:]])
-
-
-def _number(value: float | None, unit: str) -> str:
-    return 'none' if value is None else f'{value:.3g} {unit}'.rstrip()
-
-
-def write_summary(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows as a JSON list, whole or not at all; what is not finite becomes null."""
-    records = [{key: None if isinstance(value, float) and not math.isfinite(value) else value
-                for key, value in asdict(row).items()} for row in rows]
-    scratch = path.with_name(f'.{path.name}.{os.getpid()}')
-    scratch.write_text(json.dumps(records, indent=1) + '\n', encoding='utf-8')
-    scratch.replace(path)
 
 
 class _Screen:
@@ -225,16 +172,20 @@ def show_all(systems: Sequence[str], output: Path) -> int:
         for number, name in enumerate(systems or known, 1):
             screen.say(f'[{number}/{len(systems or known)}] {name}')
             try:
-                results.append(show(config / name, output, screen.say, screen.update))
+                folder = config / name
+                if is_balance(folder / 'demo.yaml'):
+                    results += show_balance(folder, output, screen.say, screen.update)
+                else:
+                    results.append(show(folder, output, screen.say, screen.update))
             except (BadInput, Failed) as problem:
                 not_shown.append(f'{name} is not shown: {problem}')
                 screen.say(f'  {not_shown[-1]}')
-                broken = broken or not isinstance(problem, NoRecording)
+                broken = broken or not isinstance(problem, (NoRecording, NoMujoco))
     write_summary(output / 'summary.json', [result.row for result in results])
     print('', *([table(results)] if results else []), *not_shown, sep='\n')
     for result in results:
         if not result.passed:
-            print(f'{result.row.system} FAILED: the RMSE allowed is {result.bar_text}')
+            print(f'{result.row.system} FAILED: {result.bar_text}')
     print(f'Pictures and summary.json are in {output}/ ({time.monotonic() - began:.0f} s).')
     return int(broken or not results or not all(result.passed for result in results))
 

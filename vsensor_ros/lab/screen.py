@@ -14,7 +14,8 @@ NODE = 'replacer'  # name of the status that is about no channel
 STYLES = {'none': 'bold red', 'silent': 'bright_black', 'virtual': 'yellow', 'real': 'green'}
 MOST_WORDS = 3  # lines for the words on a channel, where there is room
 LONGEST_NAME = 16  # characters, in a narrow terminal
-DROPPED = ('OFFSET', 'STEP', 'SERVED BY', 'SW', 'SINCE', 'VALUE')  # in a narrow terminal
+# in a narrow terminal
+DROPPED = ('OFFSET', 'STEP', 'RESERVE', 'SERVED BY', 'SW', 'SINCE', 'VALUE')
 
 Piece = tuple[str, str]  # text and its style, in the words of rich
 Line = tuple[Piece, ...]
@@ -157,6 +158,7 @@ def cells(channel: Status) -> dict[str, str]:
         'SOURCE': channel.source or '?',
         'VALUE': value(channel),
         'SERVED BY': serves(channel),
+        'RESERVE': reserve(channel),
         'SINCE': '-' if math.isnan(since) else duration(since),
         'SW': channel.facts.get('switches', '?'),
         'STEP': short(channel.number('last_step'), 2),
@@ -183,9 +185,22 @@ def serves(channel: Status) -> str:
     return f'{{{names}}} {channel.facts.get("grade", "")}'.rstrip()
 
 
+def reserve(channel: Status) -> str:
+    """Say how good who would serve a healthy channel is now; or no, that nobody would."""
+    told = channel.facts.get('reserve')
+    if channel.source not in ('real', 'silent') or told is None:
+        return '-'
+    deviation = channel.number('reserve_deviation')
+    return 'no' if told != 'ready' else \
+        f'+- {short(deviation, 2) if math.isfinite(deviation) else "?"}'
+
+
 def _widths(channels: Sequence[Status], width: int) -> tuple[dict[str, int], str]:
     """Return the widths of the columns that fit, and the gap between them."""
     rows = [cells(channel) for channel in channels]
+    if all(row['RESERVE'] == '-' for row in rows):  # nothing to be told
+        rows = [{title: text for title, text in row.items() if title != 'RESERVE'}
+                for row in rows]
     widths = {title: max(len(title), *(len(row[title]) for row in rows)) for title in rows[0]}
     for gap in ('  ', ' '):
         if sum(widths.values()) + len(gap) * (len(widths) - 1) <= width:
@@ -194,7 +209,7 @@ def _widths(channels: Sequence[Status], width: int) -> tuple[dict[str, int], str
     for title in DROPPED:
         if sum(widths.values()) + len(widths) - 1 <= width:
             break
-        del widths[title]
+        widths.pop(title, None)
     return widths, ' '
 
 

@@ -24,6 +24,7 @@ from vsensor_ros.node.field_path import (
     Step,
     trace,
 )
+from vsensor_ros.node.orientation import EulerAngle
 from vsensor_ros.node.room import fillable, lengthen, named_arrays
 from vsensor_ros.reason import Reason
 
@@ -66,6 +67,7 @@ class Accessor:
     absent: Callable[[Any], bool]  # lacks the name of it; may be sound all the same
     names: Callable[[Any], Collection[str]]  # those among which its name is, or should be
     marks: tuple[Mark, ...] = ()  # those that `get` heeds
+    angle: EulerAngle | None = None  # that it is, of the quaternion in which the steps end
 
 
 def has_stamp(kind: Any) -> bool:
@@ -98,7 +100,11 @@ def compile_accessor(kind: Any, path: str, where: str = 'field', key: str = 'fie
         return (named[-1][1](message) or ()) if named else ()
 
     get, put, fit = _leaf(path, steps)
-    return Accessor(path, steps, get, put, fit, absent, names)
+    if not steps[-1].angle:
+        return Accessor(path, steps, get, put, fit, absent, names)
+    angle = EulerAngle(steps[-1].angle, path)
+    get, put = _angle_leaf(steps, angle, get, put)
+    return Accessor(path, steps, get, put, fit, absent, names, angle=angle)
 
 
 def compile_holder(steps: Sequence[Step]) -> Find:
@@ -237,6 +243,29 @@ def _leaf(path: str, steps: Sequence[Step]) -> tuple[
         return None
 
     return get, put, fit
+
+
+def _angle_leaf(
+        steps: Sequence[Step], angle: EulerAngle, get_component: Callable[[Any], float | Reason],
+        put_component: Callable[[Any, float], Reason | None],
+        ) -> tuple[Callable[[Any], float | Reason], Callable[[Any, float], Reason | None]]:
+    """Return get and put of an angle, given those of the component at the end of its path."""
+    find = compile_holder(steps[:-1])
+
+    def get(message: Any) -> float | Reason:
+        q = find(message)
+        return get_component(message) if q is None else angle.read((q.x, q.y, q.z, q.w))
+
+    def put(message: Any, value: float) -> Reason | None:
+        if find(message) is None:  # room is made
+            problem = put_component(message, math.nan)
+            if problem is not None:
+                return problem
+        q = find(message)
+        q.x, q.y, q.z, q.w = angle.changed((q.x, q.y, q.z, q.w), float(value))
+        return None
+
+    return get, put
 
 
 def _conversion(kind: str) -> Callable[[float], float | int | None]:

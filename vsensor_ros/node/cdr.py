@@ -36,6 +36,7 @@ from vsensor_ros.node.cdr_walk import (
     Walk,
 )
 from vsensor_ros.node.disowned import DISOWNED, UNSURE
+from vsensor_ros.node.orientation import EulerAngle
 from vsensor_ros.node.stamp import compile_stamps, Stamp, to_ns
 from vsensor_ros.reason import Reason
 
@@ -115,6 +116,10 @@ class Reader:
             fitted = self.accessors[i].fit(value)
             if isinstance(fitted, Reason):
                 return fitted
+            angle = self.accessors[i].angle
+            if angle is not None:
+                angle.pack(patched, offset, fitted)
+                continue
             struct.pack_into('<' + self._letters[i], patched, offset, fitted)
         return bytes(patched)
 
@@ -167,11 +172,13 @@ class Reader:
             else:
                 counted = times[0], self._stamp.unit
         first = len(order) - count
+        angles = tuple((i, a.angle, place.offset) for i, (a, place) in enumerate(
+            zip(self.accessors, places)) if a.angle is not None and place.offset is not None)
         plain = picks == tuple(range(first, len(order))) and set(self._letters[:count]) <= {*'fd'}
-        layout = (_MarkedLayout if marks else _Layout)(
+        layout = (_AngleLayout if angles else _MarkedLayout if marks else _Layout)(
             end, _runs(raw, walk.marks), struct.Struct(form), picks, first if plain else None,
             pair, counted, marks, all(place.absent for place in places[:count]),
-            tuple(place.offset for place in places[:count]))
+            tuple(place.offset for place in places[:count]), angles)
         if walk.marked <= LONGEST_LAYOUT:
             self._layouts = [layout, *self._layouts[:LAYOUTS - 1]]
         return layout
@@ -235,6 +242,7 @@ class _Layout(NamedTuple):
     marks: tuple[_Marked, ...]
     foreign: bool
     offsets: tuple[int | None, ...]
+    angles: tuple[tuple[int, EulerAngle, int], ...] = ()  # fields that are, with their offsets
 
     def holds(self, raw: bytes) -> bool:
         """Tell whether a message is laid out like this."""
@@ -280,6 +288,21 @@ class _MarkedLayout(_Layout):
             if value.__class__ is float and (value < mark.low or value > mark.high):
                 values = (*values[:mark.field], mark.reason, *values[mark.field + 1:])
         return reading if values is reading.values else reading._replace(values=values)
+
+
+class _AngleLayout(_MarkedLayout):
+    """The same where fields are angles of quaternions; the others need not pay for it."""
+
+    __slots__ = ()
+
+    def read(self, raw: bytes) -> Reading:
+        """Read a message that is laid out like this."""
+        reading = _MarkedLayout.read(self, raw)
+        values = list(reading.values)
+        for i, angle, offset in self.angles:
+            if values[i].__class__ is float:  # a component, not marked as not there
+                values[i] = angle.unpack(raw, offset)
+        return reading._replace(values=tuple(values))
 
 
 def _runs(raw: bytes, marks: list[tuple[int, int]]) -> tuple[_Run, ...]:

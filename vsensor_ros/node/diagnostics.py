@@ -138,6 +138,8 @@ def _virtual(channel: ChannelState, why: Reason | None) -> str:
     text += f', from {", ".join((*serves.reads, *serves.commands)) or "nothing"}'
     if math.isfinite(channel.deviation):
         text += f', good to {channel.deviation:.2g} {channel.unit}'.rstrip()
+    if math.isfinite(channel.remaining_s):
+        text += f', for {channel.remaining_s:.2g} s more'
     return text + (', but unknown inputs still disturb it' if channel.grade == 'bounded' else '')
 
 
@@ -195,6 +197,13 @@ def channel_facts(channel: ChannelState, scene: Scene, rate: float) -> dict[str,
         facts['since [s]'] = f'{channel.since_s:.1f}'
     if channel.source == 'virtual':
         facts.update({'deviation': number(channel.deviation), 'offset': number(channel.offset)})
+        if math.isfinite(channel.remaining_s):
+            facts['remaining [s]'] = f'{channel.remaining_s:.1f}'
+    elif channel.reserve is None:
+        facts['reserve deviation'] = number(channel.reserve_deviation)
+    if channel.rehearsed is not None:
+        facts['residual of the last minute, rms'] = number(channel.rehearsed.rms)
+        facts['within two deviations'] = f'{100.0 * channel.rehearsed.within:.0f} %'
     if channel.serves is not None:
         facts.update({'fault set': ', '.join(channel.fault_set), 'grade': channel.grade,
                       'order': channel.serves.order, 'method': channel.serves.method})

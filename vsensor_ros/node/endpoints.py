@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import math
 import re
 from typing import Any
 
@@ -15,6 +16,7 @@ from vsensor_ros.node.accessor import Accessor, compile_accessor
 from vsensor_ros.node.disowned import heed_marks
 from vsensor_ros.node.field_path import message_type
 from vsensor_ros.node.known import DIAGNOSTICS, USE
+from vsensor_ros.node.orientation import TURNING
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, STATUS
 from vsensor_ros.node.stamp import compile_stamps, Stamp
 from vsensor_ros.observers import Design
@@ -114,6 +116,27 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
     found = Endpoints(tuple(sensors), tuple(commands), isolation)
     problems.extend(_two_types(found, values.get('isolation.type'), where, reserved))
     return found
+
+
+def with_turns(design: Design, sensors: Sequence[Sensor], where: str,
+               problems: list[BadInput]) -> Design:
+    """
+    Return the design with roll and yaw wrapping, where the plant does not say that they do.
+
+    Appends a problem for one that the plant has in another unit.
+    """
+    turns = {name: abs(turn) for angles in design.wrap for name, turn in angles.items()}
+    for sensor in sensors:
+        if sensor.accessor.steps[-1].angle not in TURNING:
+            continue
+        if not math.isclose(turns.get(sensor.name, math.tau), math.tau, rel_tol=1e-6):
+            problems.append(BadInput(
+                where, f'sensors.{sensor.name}.field', f'{sensor.accessor.path} is in rad, but in '
+                f'the plant a turn of {sensor.name} is {turns[sensor.name]:g}',
+                'write the plant in rad, with wrap: 2*pi'))
+        elif sensor.name not in turns:
+            design = replace(design, wrap=(*design.wrap, {sensor.name: math.tau}))
+    return design
 
 
 def _resolve(node: Node, topic: str, where: str, key: str,

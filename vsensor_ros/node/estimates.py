@@ -1,20 +1,25 @@
-"""What the virtual sensors said, on ``~/estimates``: value, deviation and offset of each."""
+"""
+What the virtual sensors say, on ``~/estimates``, while somebody listens.
+
+Of a failed channel value, deviation and offset of each estimate that went out; of a healthy one
+its reading, and beside it what would have gone out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine import Substitute
+from vsensor_ros.engine import Reserve, Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 
 class Estimates:
-    """One message for each time at which estimates went out, when somebody listens."""
+    """One message for each time at which something is said."""
 
     def __init__(self, node: Node) -> None:
         self._publisher = node.create_publisher(
@@ -22,11 +27,22 @@ class Estimates:
             QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
             qos_overriding_options=qos_options())
 
+    def listeners(self) -> int:
+        """Return how many listen; nothing is worth computing for none."""
+        return int(self._publisher.get_subscription_count())
+
     def send(self, at: int, estimates: Sequence[tuple[str, Substitute]]) -> None:
         """Publish what went out for these channels, stamped with the time of the state [ns]."""
-        if not estimates or not self._publisher.get_subscription_count():
-            return
-        message = DiagnosticArray(status=[_status(name, said) for name, said in estimates])
+        if estimates and self.listeners():
+            self._publish(at, [_status(name, said) for name, said in estimates])
+
+    def send_reserves(self, at: int, reserves: Sequence[Reserve]) -> None:
+        """Publish what would have gone out for these channels, beside their readings."""
+        if reserves:
+            self._publish(at, [_reserve(said) for said in reserves])
+
+    def _publish(self, at: int, status: list[DiagnosticStatus]) -> None:
+        message = DiagnosticArray(status=status)
         message.header.stamp = Time(sec=at // 10**9, nanosec=at % 10**9)
         self._publisher.publish(message)
 
@@ -39,6 +55,15 @@ def _status(name: str, said: Substitute) -> DiagnosticStatus:
     facts = {'value': said.value, 'deviation': said.deviation, 'offset': said.offset}
     if said.interval is not None:
         facts['low'], facts['high'] = said.interval
+    return _status_of(name, '', facts)
+
+
+def _reserve(said: Reserve) -> DiagnosticStatus:
+    return _status_of(said.name, 'reserve' if said.ready else 'reserve, not ready', {
+        'reading': said.reading, 'reserve': said.estimate, 'reserve_deviation': said.deviation})
+
+
+def _status_of(name: str, message: str, facts: Mapping[str, float]) -> DiagnosticStatus:
     return DiagnosticStatus(
-        level=DiagnosticStatus.OK, name=name,
+        level=DiagnosticStatus.OK, name=name, message=message,
         values=[KeyValue(key=key, value=repr(float(value))) for key, value in facts.items()])

@@ -1,5 +1,5 @@
 """
-The way from a message type to a number in it: ``range``, ``position[elbow]``, ``data[2]``.
+The way from a message type to a number in it: ``range``, ``data[2]``, ``yaw(orientation)``.
 
 Types are loaded and dotted fields followed once, at start. In brackets stands what element of an
 array is meant. A name counts where the type has names for the elements, an index where it has
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from ament_index_python.resources import get_resource, get_resources, InvalidResourceNameError
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.node.orientation import ANGLES
 
 INTERFACES = 'rosidl_interfaces'  # the ament resource that lists a package's messages
 NAME_ARRAYS = ('name', 'joint_names', 'interface_names')  # fields that name what is beside them
@@ -30,6 +31,7 @@ INTEGER = re.compile(r'(u?)int(8|16|32|64)')
 _TYPE = re.compile(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)')
 _ELEMENT = r'"[^"]+"|' r"'[^']+'|" r'[^\[\]"\'][^\[\]]*'
 _STEP = re.compile(rf'([A-Za-z][A-Za-z0-9_]*)(?:\[({_ELEMENT})\])?')  # field, field[element]
+_ANGLE = re.compile(rf'({"|".join(ANGLES)})\((.*)\)')  # yaw(pose.orientation)
 _PATH = re.compile(rf'(?:{_STEP.pattern})(?:\.(?:{_STEP.pattern}))*')
 _SEQUENCE = re.compile(r'sequence<(.+?)(?:, (\d+))?>')
 _ARRAY = re.compile(r'(.+)\[(\d+)\]')
@@ -55,6 +57,7 @@ class Step:
     name: str | None = None  # of the element; either of them, of an array
     names: str | None = None  # the field that has names for its elements, if there are such
     above: bool = False  # that field is not in this message, but in the one that has this
+    angle: str = ''  # of ANGLES, of the quaternion of which this is the component for it
 
 
 def message_type(name: str, where: str = 'message type', key: str = 'type') -> Any:
@@ -110,9 +113,39 @@ def trace(kind: Any, path: str, where: str = 'field', key: str = 'field') -> tup
     Follow a dotted field of a message class down to a number.
 
     ``a.b`` goes into a field, ``data[2]`` into an array, ``position[elbow]`` into the array whose
-    elements the field ``name`` (or ``joint_names``) beside it names, or one level above. Raises
-    BadInput, listing the fields there are.
+    elements the field ``name`` (or ``joint_names``) beside it names, or one level above.
+    ``yaw(a.b)`` is an angle of the quaternion there; its last step is the component that stands
+    for it. Raises BadInput, listing the fields there are.
     """
+    if match := _ANGLE.fullmatch(path):
+        return _to_angle(kind, match[1], match[2], where, key)
+    steps = _follow(kind, path, where, key)
+    inner = steps[-1].type.inner
+    if inner not in LARGEST_FLOAT and not INTEGER.fullmatch(inner):
+        mend = 'name a numeric field'
+        if '/' in inner:
+            mend = f'write yaw({path}), roll or pitch, or name a field below {path}' \
+                if _is_quaternion(inner) else f'name a field below {path}'
+        raise BadInput(where, key, f'{path} is a {inner}, not a number', mend)
+    return steps
+
+
+def _to_angle(kind: Any, angle: str, path: str, where: str, key: str) -> tuple[Step, ...]:
+    steps = _follow(kind, path, where, key)
+    inner = steps[-1].type.inner
+    if not _is_quaternion(inner):
+        raise BadInput(where, key, f'{path} is a {inner}, which has no {angle}',
+                       'name a quaternion, such as pose.pose.orientation')
+    return (*steps, Step(inner_type(inner), ANGLES[angle], field_type('double'), angle=angle))
+
+
+def _is_quaternion(inner: str) -> bool:
+    return '/' in inner and inner_type(inner).get_fields_and_field_types() == dict.fromkeys(
+        'xyzw', 'double')
+
+
+def _follow(kind: Any, path: str, where: str, key: str) -> tuple[Step, ...]:
+    """Follow a dotted field, to whatever is there."""
     if _PATH.fullmatch(path) is None:
         raise BadInput(where, key, f'{path!r:.80} is not a field',
                        'write it like range, pose.position.x, data[2] or position[elbow]')
@@ -128,10 +161,6 @@ def trace(kind: Any, path: str, where: str = 'field', key: str = 'field') -> tup
                                'has no fields', f'end the field at {before}')
             kind = inner_type(inner, where, key)
         steps.append(_step(kind, above, field, element, where, key))
-    inner = steps[-1].type.inner
-    if inner not in LARGEST_FLOAT and not INTEGER.fullmatch(inner):
-        raise BadInput(where, key, f'{path} is a {inner}, not a number',
-                       f'name a field below {path}' if '/' in inner else 'name a numeric field')
     return tuple(steps)
 
 

@@ -10,12 +10,14 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
 from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.bank import GUARD, LONGEST_GUARD
 from vsensor_ros.observers import Design
 
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 RECOVERY = ('automatic', 'hold', 'latched')
 SILENT = ('wait', 'replace')
 AT_END = ('hold', 'invalid')
+AUTO = 'auto'
 REFUSE, USE = DISOWNED = ('refuse', 'use')
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 TEXT = 'std_msgs/msg/String'
@@ -155,8 +157,9 @@ GENERAL: Mapping[str, Known] = {
         str, 'wait', 'what becomes of a sensor that is silent for its max_age: wait (nothing '
         'goes out), replace (it counts as faulty)', choices=SILENT, live=True),
     'max_deviation': Known(
-        float, 0.0, 'standard deviation beyond which an estimate is not valid; 0 disables the '
-        'limit', 'of the channel', 0.0, 1e12, live=True),
+        float, AUTO, 'standard deviation beyond which an estimate is not valid; auto: the limits '
+        'that follow from the design; 0 disables all of them', 'of the channel', 0.0, 1e12,
+        words=(AUTO,), live=True),
 }
 
 # for each of them: what one sensor may have of its own
@@ -198,6 +201,9 @@ def named(design: Design) -> dict[str, Known]:
             continue
         known[f'sensors.{name}.input'] = Known(
             str, '', f'topic on which the driver of {name} publishes; default: the topic + _raw')
+        known[f'sensors.{name}.guard'] = Known(
+            float, GUARD, f'time before the loss of {name} in which it may have been faulty '
+            'already: its last good readings are from before that', 's', 0.0, LONGEST_GUARD)
         for key, general in OVERRIDES.items():
             known[f'sensors.{name}.{key}'] = _override(name, general)
     return known
@@ -207,4 +213,4 @@ def _override(name: str, general: str) -> Known:
     """Return what one sensor or command has of its own in place of a general parameter."""
     entry = GENERAL[general]
     return Known(entry.type, '', f'{general} of {name} alone', entry.unit, entry.low, entry.high,
-                 entry.choices, entry.live, general)
+                 entry.choices, entry.live, general, words=entry.words)

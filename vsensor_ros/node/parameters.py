@@ -22,8 +22,14 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import End
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.engine.isolation_names import Names, Wrong
-from vsensor_ros.node.endpoints import Command, Endpoints, find_endpoints, Sensor
-from vsensor_ros.node.known import DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
+from vsensor_ros.node.endpoints import (
+    Command,
+    Endpoints,
+    find_endpoints,
+    Sensor,
+    with_turns,
+)
+from vsensor_ros.node.known import AUTO, DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
 from vsensor_ros.node.parameter_file import (
     Block,
     check_addressed,
@@ -62,6 +68,7 @@ class Settings:
     commands: tuple[Command, ...]
     live: Live
     command_ends: Mapping[str, End]  # of those that do not hold for ever
+    guard: Mapping[str, float]  # s, by sensor
     for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
@@ -96,6 +103,7 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
     endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
     others: list[str] = []
     if design is not None:
+        design = with_turns(design, endpoints.sensors, where, problems)
         quality = qos_parameters(endpoints.ends(node))
         known.update(quality)
         _check({name: quality[name] for name in given if name in quality}, given, where, problems)
@@ -113,7 +121,8 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
-        endpoints.commands, _live(design, values), _command_ends(design, values), tuple(others))
+        endpoints.commands, _live(design, values), _command_ends(design, values),
+        {s: values[f'sensors.{s}.guard'] for s in design.sensors}, tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -273,7 +282,8 @@ def _live(design: Design, values: Mapping[str, Any]) -> Live:
         values['without_estimate'], values['time_constant'],
         {s: Policy(_own(values, s, 'recovery'), _own(values, s, 'dwell'),
                    _own(values, s, 'silent') == 'replace') for s in design.sensors},
-        {s: _own(values, s, 'max_deviation') for s in design.sensors})
+        {s: None if (limit := _own(values, s, 'max_deviation')) in ('', AUTO) else limit
+         for s in design.sensors})
 
 
 def _declared_with_topic(node: Node, name: str) -> bool:

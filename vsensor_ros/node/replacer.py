@@ -85,6 +85,7 @@ class Replacer:
         self.start = Start(self.reports, self.engine.heard_any,
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
+        self._shown = 0  # time of the reserves that were published last
         takers: list[tuple[Subscription, Callable[[], int]]] = [
             (s, self._take_isolation) for s in self.reports.subscriptions]
         self.inlets: list[Inlet] = []
@@ -117,7 +118,7 @@ class Replacer:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
                 tuple(topic.plan for topic in topics), self.simulated, settings.live,
-                settings.command_ends))
+                settings.command_ends, settings.guard))
         except BadInput as error:
             raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
                                     error.problem, error.mend)]) from None
@@ -243,6 +244,14 @@ class Replacer:
                 self._send(made)
                 self._sending = None
             self.pace.end()
+        self._show_reserves()
+
+    def _show_reserves(self) -> None:
+        """Publish what could be said in place of the healthy sensors, if somebody listens."""
+        time = self.engine.state_time
+        if time is not None and time != self._shown and self.estimates.listeners():
+            self._shown = time
+            self.estimates.send_reserves(time, self.engine.reserves())
 
     def _tell(self) -> None:
         """Let people know what is new."""

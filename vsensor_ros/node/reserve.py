@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+import math
 
 from rclpy.node import Node
 
+from vsensor_ros.engine import ChannelState
 from vsensor_ros.node.graph import meant, published_like
 from vsensor_ros.node.parameters import Settings
 from vsensor_ros.reason import Reason
@@ -38,6 +40,14 @@ _PASSES = {'converging', 'converging, not proved', 'about to start', 'ready agai
            'ready just now'}
 _NEVER = {'not designed', 'no design', 'refused', 'several rows', 'start unknown'}
 
+# what mends an estimate that is not good enough; {} is the parameter that limits it
+_GIVE = 'if it will do all the same, give {}'
+_RAISED = {
+    'too uncertain': 'raise {}, if that will do',
+    'beyond the tolerance': _GIVE,
+    'beyond a tenth of the range': _GIVE,
+    'no limit': 'give a tolerance or ranges in the plant file, or {}',
+    'worse than designed': f'mend the model and its noise in the plant file; {_GIVE}'}
 _NEVER_HEARD = {'no reading yet', 'no command yet'}
 
 
@@ -66,11 +76,24 @@ def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -
         return [f'cannot be replaced ({reserve})']
     parts = [f'could not be replaced now ({reserve})']
     for reason in _leaves(reserve) if hope is Chance.MEND else ():
-        if reason.code == 'too uncertain':
-            parts.append(f'raise sensors.{name}.max_deviation, if that will do')
+        if reason.code in _RAISED:
+            parts.append(_RAISED[reason.code].format(f'sensors.{name}.max_deviation'))
         elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
             parts.append(_mend(origin, reason.code in _NEVER_HEARD))
     return list(dict.fromkeys(parts))
+
+
+def worth(channel: ChannelState) -> str:
+    """Say what a reserve would be good for now, or that it could not serve."""
+    name, unit = channel.name, channel.unit
+    if channel.reserve is not None:
+        return f'{name} {without_reserve(name, channel.reserve, {})[0]}'
+    text = f'{name} could be replaced now'
+    if math.isfinite(channel.reserve_deviation):
+        text += f', to {channel.reserve_deviation:.2g} {unit}'.rstrip()
+    if math.isfinite(channel.remaining_s):
+        text += f', for {channel.remaining_s:.2g} s'
+    return text if channel.rehearsed is not None else f'{text} (not compared with it yet)'
 
 
 def _mend(origin: Origin, never_heard: bool) -> str:

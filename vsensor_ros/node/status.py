@@ -18,6 +18,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from vsensor_ros.bank import Rehearsal
 from vsensor_ros.engine import ChannelState, EngineState
 from vsensor_ros.node.diagnostics import (
     channel_facts,
@@ -43,7 +44,7 @@ from vsensor_ros.node.parameters import DIAGNOSTICS
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
-from vsensor_ros.node.reserve import Chance, chance, look_for, origins_of, without_reserve
+from vsensor_ros.node.reserve import Chance, chance, look_for, origins_of, without_reserve, worth
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes
@@ -262,6 +263,9 @@ def _copy(qos: QoSProfile) -> QoSProfile:
     return QoSProfile(depth=qos.depth, durability=qos.durability, reliability=qos.reliability)
 
 
+_NOT_REHEARSED = Rehearsal(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)
+
+
 def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
     """
     Return the state of a channel for programs; the keys are part of the interface.
@@ -269,6 +273,7 @@ def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
     rate: of its readings [Hz].
     """
     low, high = channel.interval or (math.nan, math.nan)
+    mean, rms, worst, _, within, compared = channel.rehearsed or _NOT_REHEARSED
     return {
         'source': channel.source,
         'valid': str(channel.source in ('real', 'virtual')).lower(),
@@ -296,6 +301,14 @@ def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
         'reason': channel.reason or '',
         'reserve': 'ready' if channel.reserve is None else 'not ready',
         'reserve_reason': channel.reserve or '',
+        'reserve_worth': worth(channel),
+        'reserve_deviation': number(channel.reserve_deviation),
+        'reserve_mean': number(mean),
+        'reserve_rms': number(rms),
+        'reserve_worst': number(worst),
+        'reserve_within': number(within),
+        'reserve_compared_s': f'{compared:.1f}',
+        'remaining_s': number(channel.remaining_s),
     }
 
 

@@ -9,7 +9,8 @@ These are recognised, by names and sizes of fields as sensor_msgs and geometry_m
 - ``latitude`` beside ``position_covariance``, 3 by 3 in the order East, North, Up: NavSatFix;
 - a float beside ``variance`` that is the only one, or has the name of the type: Range, ...
 
-A quaternion has none: the covariance of an orientation is that of angles.
+A component of a quaternion has none: the covariance of an orientation is that of roll, pitch and
+yaw, as ``yaw(orientation)`` is written.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def matrix_of(steps: Sequence[Step]) -> Matrix | None:
         return Matrix(steps[:-1], POSITION, 3, (GEODETIC[last.field],))
     if len(steps) < 2 or fields.keys() not in (AXES.keys(), QUATERNION):
         return None
-    rows = (0, 1, 2) if fields.keys() == QUATERNION else (AXES[last.field],)
+    rows = (0, 1, 2) if fields.keys() == QUATERNION and not last.angle else (AXES[last.field],)
     vector = steps[-2]
     name = f'{vector.field}_covariance'
     if not vector.type.is_array and \

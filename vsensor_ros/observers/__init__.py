@@ -6,12 +6,26 @@ A new kind is a file in ``kinds/`` and a line here, so that it is known wherever
 
 from vsensor_ros.observers.design import Design
 from vsensor_ros.observers.entry import Entry, Key, Refusal
-from vsensor_ros.observers.kinds import Batch, Kind, kind_named, kind_names, register, Told
+from vsensor_ros.observers.kinds import (
+    Batch,
+    Bent,
+    Kind,
+    kind_named,
+    kind_names,
+    register,
+    Told,
+    Tracked,
+)
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking import (
+    deviation_after,
+    horizon,
+    Tracking,
+)
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
 
-__all__ = ['Batch', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'VirtualSensor', 'kind_named',
-           'kind_names',           'register']
+__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
+           'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'Tracked', 'Tracking',
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register']

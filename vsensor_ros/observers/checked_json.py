@@ -106,6 +106,13 @@ class CheckedObject:
             raise self.fail(key, 'must not be negative')
         return value
 
+    def positive(self, key: str) -> float:
+        """Read a number above 0."""
+        value = self.number(key)
+        if not value > 0.0:
+            raise self.fail(key, 'must be positive')
+        return value
+
     def pair(self, key: str, infinite: tuple[bool, bool]) -> tuple[float, float]:
         """Read two numbers as `size` does; infinite: which of them may be so."""
         value = self.get(key, list, 'a list of two numbers')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,9 +26,23 @@ class Contents:
     wanted: tuple[str, ...] = ()  # functionals that are no sensors: their fault set may be ()
     Cu: np.ndarray | None = None  # (l, m) what sensors read directly of inputs; None: not known
 
+    # how far off an estimate may be to be of use, and where readings lie, by sensor, in its unit
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # sensors that wrap: of each angle who reads it, and what a turn is in that reading, negative
+    # if it runs the other way
+    wrap: tuple[Mapping[str, float], ...] = ()
+
     def __post_init__(self) -> None:
         if self.Cu is not None:
             self.Cu.flags.writeable = False
+
+    def tolerance(self, channel: str) -> float | None:
+        """Return what is given for a sensor, else a tenth of its range; None: neither is known."""
+        if channel in self.tolerances:
+            return self.tolerances[channel]
+        low, high = self.ranges.get(channel, (0.0, 0.0))
+        return (high - low) / 10 or None
 
     def each_once(self) -> tuple[Entry | Refusal, ...]:
         """Return all entries; a virtual sensor of several outputs counts once."""

@@ -78,6 +78,10 @@ def _to_record(design: Contents) -> dict[str, Any]:
             'sensors': list(design.sensors),
             'units': dict(design.units),
             **({} if design.Cu is None else {'Cu': design.Cu.tolist()}),
+            **({'tolerances': dict(design.tolerances)} if design.tolerances else {}),
+            **({'ranges': {name: list(limits) for name, limits in design.ranges.items()}}
+               if design.ranges else {}),
+            **({'wrap': [dict(turns) for turns in design.wrap]} if design.wrap else {}),
         },
         'wanted': list(design.wanted),
         'entries': [_entry_record(entry) for entry in design.each_once()],
@@ -102,13 +106,12 @@ def _from_record(record: Any, path: str | Path) -> Contents:
                        f'{VERSION}', mend)
     top.only(('format', 'version', 'plant', 'wanted', 'entries'))
     plant = top.object('plant')
-    plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu'))
+    plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
+                'tolerances', 'ranges', 'wrap'))
     states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
     sample_time = None
     if plant.record.get('sample_time', 0) is not None:
-        sample_time = plant.number('sample_time')
-        if sample_time <= 0:
-            raise plant.fail('sample_time', 'must be positive')
+        sample_time = plant.positive('sample_time')
     units = plant.get('units', dict, 'an object')
     for text in (*units, *units.values()):
         check_text(text, path, 'plant.units')
@@ -119,7 +122,8 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     Cu = plant.array('Cu', len(sensors), len(inputs)) if 'Cu' in plant.record else None
     entries: dict[Key, Entry | Refusal] = {}
     design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
-                      sample_time, entries, wanted, Cu)
+                      sample_time, entries, wanted, Cu, _read_tolerances(plant, sensors),
+                      _read_ranges(plant, sensors), _read_wrap(plant, sensors))
     for reader in top.objects('entries'):
         channel, fault_set = _read_key(reader, design)
         entry: Entry | Refusal
@@ -134,6 +138,46 @@ def _from_record(record: Any, path: str | Path) -> Contents:
                 raise reader.fail('channel', f'{output} stands there twice for this fault set')
             entries[fault_set, output] = entry
     return design
+
+
+def _read_tolerances(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, float]:
+    reader = _by_sensor(plant, 'tolerances', sensors)
+    return {name: reader.positive(name) for name in reader.record}
+
+
+def _read_ranges(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    reader = _by_sensor(plant, 'ranges', sensors)
+    ranges = {}
+    for name in reader.record:
+        low, high = reader.array(name, 2)
+        if not low < high:
+            raise reader.fail(name, 'is not [low, high] with low below high')
+        ranges[name] = float(low), float(high)
+    return ranges
+
+
+def _read_wrap(plant: CheckedObject,
+               sensors: tuple[str, ...]) -> tuple[dict[str, float], ...]:
+    angles: list[dict[str, float]] = []
+    for reader in plant.objects('wrap') if 'wrap' in plant.record else []:
+        reader.only(sensors)
+        turns = {name: reader.number(name) for name in reader.record}
+        for name, turn in turns.items():
+            if not turn:
+                raise reader.fail(name, 'is no turn')
+            if any(name in others for others in angles):
+                raise reader.fail(name, 'stands there twice')
+        angles.append(turns)
+    return tuple(angles)
+
+
+def _by_sensor(plant: CheckedObject, key: str, sensors: tuple[str, ...]) -> CheckedObject:
+    """Return an object whose keys are sensors; an empty one where there is none."""
+    if key not in plant.record:
+        return CheckedObject(plant.path, f'{plant.place}{key}.', {})
+    reader = plant.object(key)
+    reader.only(sensors)
+    return reader
 
 
 def _read_key(reader: CheckedObject, design: Contents) -> tuple[str, tuple[str, ...]]:

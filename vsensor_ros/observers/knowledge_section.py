@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from vsensor_ros.observers.checked_json import CheckedObject, or_null
 from vsensor_ros.observers.knowledge import Noise, OrderStep, Proof, Rung
 
@@ -66,3 +68,18 @@ def read_noise(reader: CheckedObject | None) -> Noise | None:
     reader.only(('error', 'floor', 'assumed'))
     return Noise(reader.size('error'), reader.size('floor', infinite=True),
                  reader.flag('assumed'))
+
+
+def read_covariance(reader: CheckedObject, key: str, k: int) -> np.ndarray:
+    """Read a covariance (k, k)."""
+    found = reader.array(key, k, k)
+    if not np.array_equal(found, found.T):
+        raise reader.fail(key, 'is not symmetric')
+    size = np.sqrt(np.abs(np.diag(found)))
+    unit = np.divide(1.0, size, out=np.zeros(k), where=size > 0.0)
+    with np.errstate(all='ignore'):
+        scaled = found * unit * unit[:, None]
+    if not np.isfinite(scaled).all() or found[size == 0.0].any() or (
+            k and np.linalg.eigvalsh(scaled).min() < -1e-6):
+        raise reader.fail(key, 'is not a covariance')
+    return found

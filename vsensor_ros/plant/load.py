@@ -1,12 +1,12 @@
 """
 Read a plant file (YAML).
 
-Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states
-(unit, initial, process_noise, range), inputs (unit, operating), disturbances (unit), sensors
-(measures, unit, noise), operating_point, and the right-hand side: dynamics, one equation a state,
-or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
-states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
-that names the file, the place and the mend.
+Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states (unit,
+initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit), sensors
+(measures, unit, noise, tolerance, wrap), operating_point, and the right-hand side: dynamics, one
+equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of
+which combinations of states). Every number may be an expression of the parameters. What is wrong
+gives one BadInput line that names the file, the place and the mend.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen: dict[Any, int] = {}
-        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            if key.value == 'slow' and isinstance(value, yaml.ScalarNode):
+                value.tag = 'tag:yaml.org,2002:str'  # the one truth value there is
             line = key.start_mark.line + 1
             if isinstance(key, yaml.ScalarNode):
                 if key.value in seen:
@@ -192,10 +194,11 @@ class _File:
             raise self.fail('description', 'is not a text', 'put it in quotes')
         sample_time = self.sample_time()
         parameters = self.section('parameters', ('value', 'unit'), 'value')
-        states = self.section('states', ('unit', 'initial', 'process_noise', 'range'))
+        states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
         inputs = self.section('inputs', ('unit', 'operating'))
         disturbances = self.section('disturbances', ('unit',))
-        sensors = self.section('sensors', ('measures', 'unit', 'noise'), 'measures')
+        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap'),
+                               'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
                 raise self.fail(key, 'is missing or empty', f'name the {key}')
@@ -218,8 +221,9 @@ class _File:
             if state in given:
                 point[i] = self.number(given[state], f'operating_point.{state}')
 
+        slow = tuple(s for s, e in states.items() if self.truth(e, 'slow', f'states.{s}'))
         split, measured = self.right_hand_side(tuple(states), tuple(inputs),
-                                               tuple(disturbances), point, u)
+                                               tuple(disturbances), point, u, slow)
         everything = (*states, *inputs, *disturbances)
         if measured is None:
             measured = np.array([self.linear(
@@ -241,8 +245,11 @@ class _File:
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
             process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
                            for s, e in states.items()],
-            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], name=name,
-            where=self.path)
+            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], slow=slow,
+            tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
+                        for s, e in sensors.items() if 'tolerance' in e},
+            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()],
+            name=name, where=self.path)
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
         if entry.get(what) is None:
@@ -257,6 +264,31 @@ class _File:
             raise self.fail(f'{place}.{what}', f'{value:g} is negative',
                             'give a standard deviation')
         return value
+
+    def turn(self, entry: Mapping[str, Any], key: str) -> float:
+        """Read what a turn is in the readings of a sensor, NaN if it does not wrap."""
+        if 'wrap' not in entry:
+            return math.nan
+        value = self.number(entry['wrap'], key)
+        if value <= 0.0:
+            raise self.fail(key, f'{value:g} is not above 0',
+                            'give what a turn is in its unit, such as 2*pi or 360')
+        return value
+
+    def truth(self, entry: Mapping[str, Any], what: str, place: str) -> bool:
+        """Read true or false; false when it is left out."""
+        text = str(entry.get(what, 'false'))
+        if text.lower() not in yaml.SafeLoader.bool_values:
+            raise self.fail(f'{place}.{what}', f'{shown(entry[what])} is neither true nor false',
+                            'write one of them')
+        return bool(yaml.SafeLoader.bool_values[text.lower()])
+
+    def tolerance(self, value: Any, place: str) -> float:
+        size = self.number(value, place)
+        if size <= 0.0:
+            raise self.fail(place, f'{size:g} is not positive',
+                            'give how far off an estimate may be')
+        return size
 
     def range(self, entry: Mapping[str, Any], key: str) -> tuple[float, float]:
         """Read [low, high], where null leaves a side open."""
@@ -289,8 +321,8 @@ class _File:
         return units
 
     def right_hand_side(self, states: tuple[str, ...], inputs: tuple[str, ...],
-                        disturbances: tuple[str, ...], point: np.ndarray,
-                        u: np.ndarray) -> tuple[Split, np.ndarray | None]:
+                        disturbances: tuple[str, ...], point: np.ndarray, u: np.ndarray,
+                        slow: tuple[str, ...]) -> tuple[Split, np.ndarray | None]:
         by_equations = 'dynamics' in self.content
         if by_equations == ('matrices' in self.content):
             raise self.fail('dynamics', 'and matrices are both there' if by_equations
@@ -304,7 +336,9 @@ class _File:
         if 'nonlinearities' in self.content:
             raise self.fail('nonlinearities', 'stands beside dynamics',
                             'write them in the equations')
-        texts = self.mapping(self.content['dynamics'], 'dynamics', states, 'state')
+        continuous = self.content['time'] == 'continuous'
+        texts = {**{state: '0' if continuous else state for state in slow},
+                 **self.mapping(self.content['dynamics'], 'dynamics', states, 'state')}
         for state in states:
             if texts.get(state) is None:
                 raise self.fail(f'dynamics.{state}', 'is missing',

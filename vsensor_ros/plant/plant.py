@@ -70,6 +70,9 @@ class Plant:
     # state per sqrt(s)], discrete: [unit of the state per step]
     process_noise: np.ndarray
     ranges: np.ndarray                  # (n, 2), where the states live; -inf, inf where unknown
+    slow: np.ndarray                    # (n,) bool: offsets, which only drift
+    tolerances: dict[str, float]        # by sensor: how far off an estimate of it may be
+    wrap: np.ndarray                    # (l,), what a turn is in each reading, NaN: it wraps not
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
@@ -82,7 +85,9 @@ class Plant:
                       noise: Any = None, parameters: Mapping[str, float] | None = None,
                       operating_point: Any = None, operating_input: Any = None,
                       Cu: Any = None, Cd: Any = None, process_noise: Any = None,
-                      ranges: Any = None, name: str = 'plant',
+                      ranges: Any = None, slow: Sequence[str] = (),
+                      tolerances: Mapping[str, float] | None = None, wrap: Any = None,
+                      name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
         Make a plant of arrays.
@@ -93,12 +98,15 @@ class Plant:
         terms. Names default to x1.., u1.., y1.., rho1..; a sensor may be called as a state.
         A is taken as it stands: no formal addend is moved into it. Cu (l, m), Cd (l, d): zero
         when None; flat for one sensor or one column. process_noise (n,), NaN where unknown;
-        ranges (n, 2), low < high, -inf and inf where unknown. where: what error lines call the
-        source. Raises BadInput.
+        ranges (n, 2), low < high, -inf and inf where unknown. slow: names of states that only
+        drift; tolerances: how far off an estimate may be, by sensor. wrap (l,): of a heading that
+        jumps at +-pi 2 pi, NaN where nothing wraps. where: what error lines call the source.
+        Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
-        for key, mapping in (('units', units), ('parameters', parameters)):
+        for key, mapping in (('units', units), ('parameters', parameters),
+                             ('tolerances', tolerances)):
             if not isinstance(mapping, Mapping | None):
                 raise BadInput(where, key, f'{shown(mapping)} is not a mapping',
                                'give {name: value, ...}')
@@ -150,7 +158,9 @@ class Plant:
             Cu=_direct(Cu, len(c), b.shape[1], where, 'Cu'),
             Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
             process_noise=_noise(process_noise, n, where, 'process_noise'),
-            ranges=_ranges(ranges, n, where))
+            ranges=_ranges(ranges, n, where), slow=_marks(slow, state_names, where),
+            tolerances=_tolerances(tolerances or {}, sensor_names, where),
+            wrap=_turns(wrap, len(c), where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -167,6 +177,36 @@ class Plant:
             total = total + np.multiply.outer(column, psi)
         return total if rho is None else total + self.D @ _beside(rho, x)
 
+    def angles(self) -> tuple[dict[str, float], ...]:
+        """
+        Return of each angle that sensors wrap who reads it: by name, what a turn is there.
+
+        Sensors of the same functional read the same angle, whatever their units. A turn is
+        negative where the reading runs the other way than that of the first.
+        """
+        found: list[tuple[np.ndarray, dict[str, float]]] = []
+        for i in np.flatnonzero(~np.isnan(self.wrap)):
+            name, turn = self.sensors[i], float(self.wrap[i])
+            row = np.concatenate([self.C[i], self.Cu[i], self.Cd[i]]) / turn
+            for first, turns in found:
+                sign = np.sign(row @ first)
+                if np.allclose(sign * row, first, 1e-9, 0.0):
+                    turns[name] = float(sign) * turn
+                    break
+            else:
+                found.append((row, {name: turn}))
+        return tuple(turns for _, turns in found)
+
+    def reading_ranges(self) -> dict[str, tuple[float, float]]:
+        """Return between what readings lie by the states' ranges, of sensors that these tell."""
+        ranges = {}
+        for name, row, *direct in zip(self.sensors, self.C, self.Cu, self.Cd):
+            of = np.flatnonzero(row)
+            ends = np.sort(row[of, None] * self.ranges[of], axis=1).sum(axis=0)
+            if len(of) and np.isfinite(ends).all() and not any(more.any() for more in direct):
+                ranges[name] = (float(ends[0]), float(ends[1]))
+        return ranges
+
     def hash(self) -> str:
         """Return the SHA-256 of what a design depends on: names, arrays, terms, noise, start."""
         digest = hashlib.sha256()
@@ -182,8 +222,12 @@ class Plant:
             self.A, self.B, self.C, self.D, self.P, self.Cu, self.Cd, self.initial,
             self.noise, self.process_noise, self.ranges,
             'continuous' if self.sample_time is None else float(self.sample_time).hex())
+        if not np.isnan(self.wrap).all():
+            add('wrap', self.wrap)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
+        if self.slow.any() or self.tolerances:  # what has neither keeps its hash
+            add(self.slow, sorted(self.tolerances.items()))
         return digest.hexdigest()
 
 
@@ -282,6 +326,14 @@ def _noise(value: Any, count: int, where: object, key: str = 'noise') -> np.ndar
     return array
 
 
+def _turns(value: Any, count: int, where: object) -> np.ndarray:
+    array = _vector(value, np.full(count, np.nan), where, 'wrap', unknown=True)
+    if (array <= 0.0).any():
+        raise BadInput(where, 'wrap', f'{shown(value)} is not above 0 somewhere', 'give what a '
+                       'turn is in each reading, such as 2*pi or 360; NaN where nothing wraps')
+    return array
+
+
 def _direct(value: Any, height: int, width: int, where: object, key: str) -> np.ndarray:
     # what a sensor reads directly; flat: the row of the only sensor, or the only column
     array = np.zeros((height, width)) if value is None else _array(value, where, key)
@@ -304,6 +356,30 @@ def _ranges(value: Any, n: int, where: object) -> np.ndarray:
         raise BadInput(where, 'ranges', f'{shown(value)} has a low that is not below its high',
                        'give low < high, -inf and inf where unknown')
     return array
+
+
+def _marks(names: Any, states: tuple[str, ...], where: object) -> np.ndarray:
+    chosen = _listed(names, where, 'slow')
+    for name in chosen:
+        if name not in states:
+            raise BadInput(where, 'slow', f'unknown state {shown(name)}',
+                           suggestion(name, states))
+    marks = np.array([state in chosen for state in states])
+    marks.flags.writeable = False
+    return marks
+
+
+def _tolerances(given: Mapping[str, float], sensors: tuple[str, ...],
+                where: object) -> dict[str, float]:
+    for name in given:
+        if name not in sensors:
+            raise BadInput(where, 'tolerances', f'unknown sensor {shown(name)}',
+                           suggestion(name, sensors))
+    sizes = _vector(list(given.values()), np.zeros(len(given)), where, 'tolerances')
+    if not (sizes > 0.0).all():
+        raise BadInput(where, 'tolerances', f'{shown(dict(given))} holds one that is not positive',
+                       'give how far off an estimate may be')
+    return dict(zip(given, sizes.tolist()))
 
 
 def _sample_time(value: Any, where: object) -> float | None:

@@ -8,7 +8,7 @@ import textwrap
 from vsensor_ros.designer.location import Location
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.report import design_text
+from vsensor_ros.report import design_text, for_a_time
 
 MOST_PLACES = 8  # for a new sensor
 WIDTH = 99
@@ -37,7 +37,7 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
             lines += [f'{design_text.title(result, fault_set, channel)}: '
                       f'{design_text.state_of(entry)}']
             lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
-                entry, result.units.get(channel, ''))
+                entry, result, plant)
             lines.append('')
     hidden = sum(blocks is not None and s not in blocks for s, _ in result.entries)
     if hidden:
@@ -48,9 +48,10 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
 
 def closing(result: Design) -> str:
     """Return how many can be replaced."""
-    bounded = sum(v.grade == 'bounded' for v in result.virtual_sensors)
-    some = f', {bounded} of them within a bound only' if bounded else ''
-    return f'{len(result.virtual_sensors)} of {len(result.entries)} can be replaced{some}'
+    grades = [v.grade for v in result.virtual_sensors]
+    some = ''.join(f', {grades.count(grade)} of them {how} only' for grade, how in
+                   (('bounded', 'within a bound'), ('temporary', 'for a time')) if grade in grades)
+    return f'{len(grades)} of {len(result.entries)} can be replaced{some}'
 
 
 def _places(places: Sequence[Location], plant: Plant) -> list[str]:
@@ -81,21 +82,27 @@ def _refused(entry: Refusal) -> list[str]:
     return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
 
 
-def _facts(entry: Entry, unit: str) -> list[str]:
+def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
+    unit = result.units.get(entry.channel, '')
     if not isinstance(entry, VirtualSensor):
         return [line for name, value in design_text.facts(entry, unit)
                 for line in _hanging(name, value, 18)]
     terms = [entry.terms[i].name for i in entry.active]
+    if entry.grade == 'temporary':
+        facts = _good_for(entry, result, plant)
+    else:
+        facts = [('noise error', design_text.noise(entry, unit)),
+                 ('noise gain', design_text.number(entry.noise_gain))]
     facts = [
         ('order', design_text.order(entry)),
-        ('noise error', design_text.noise(entry, unit)),
+        facts[0],
         ('decay', design_text.decay(entry)),
         ('eigenvalues of N', design_text.eigenvalues(entry)),
         ('reads', design_text.reads(entry)),
-        ('noise gain', design_text.number(entry.noise_gain)),
+        *facts[1:],
         ('found as', entry.method),
     ]
-    if entry.grade != 'exact':
+    if entry.grade == 'bounded':
         facts.insert(1, ('unknown inputs', design_text.disturbance(entry, unit)))
     if terms:
         facts.append(('nonlinear terms', ', '.join(terms)))
@@ -108,3 +115,12 @@ def _facts(entry: Entry, unit: str) -> list[str]:
             for i, (rung, taken) in enumerate(design_text.rungs(entry))]
     facts += [('in doubt', doubt) for doubt in design_text.doubts(entry)]
     return [line for name, value in facts for line in _hanging(name, value, 18)]
+
+
+def _good_for(entry: VirtualSensor, result: Design, plant: Plant | None) -> list[tuple[str, str]]:
+    """Say for how long a temporary one is good, and what a slow offset makes of that."""
+    unit = result.units.get(entry.channel, '')
+    allowed = for_a_time.tolerances(result, entry)
+    facts = [('good', for_a_time.good_for(entry, allowed, unit))]
+    learnt = '' if plant is None else for_a_time.learning(plant, entry, allowed, unit)
+    return [*facts, ('slow offset', learnt)] if learnt else facts

@@ -9,10 +9,11 @@ import numpy as np
 from vsensor_ros.designer.location import Location
 from vsensor_ros.observers import Certificate, Design, Entry, Refusal, Rung, VirtualSensor
 
+NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
-VERDICTS = ('yes', 'bounded', 'no')
+VERDICTS = ('yes', 'bounded', 'temporary', 'no')
 
 
 def number(value: float, unit: str = '') -> str:
@@ -27,15 +28,16 @@ def joined(fault_set: Iterable[str]) -> str:
 
 def verdict(design: Design, fault_set: tuple[str, ...]) -> str:
     """
-    Say whether a set can be lost: 'yes', 'bounded' or 'no'.
+    Say whether a set can be lost: 'yes', 'bounded', 'temporary' or 'no'.
 
-    Every sensor of it must be replaceable; 'bounded': unknown inputs disturb one.
+    Every sensor of it must be replaceable; 'bounded': unknown inputs disturb one; 'temporary': one
+    serves for a time only.
     """
     entries = [e for (s, channel), e in design.entries.items() if s == fault_set]
     if any(isinstance(e, Refusal) for e in entries):
         return 'no'
-    return 'bounded' if any(e.grade == 'bounded' for e in entries
-                            if not isinstance(e, Refusal)) else 'yes'
+    grades = {e.grade for e in entries if not isinstance(e, Refusal)}
+    return next((grade for grade in ('temporary', 'bounded') if grade in grades), 'yes')
 
 
 def losses(design: Design) -> dict[int, dict[tuple[str, ...], str]]:
@@ -54,19 +56,23 @@ def loss_lines(design: Design) -> list[tuple[str, list[str]]]:
     for size, sets in losses(design).items():
         by = {v: [s for s, said in sets.items() if said == v] for v in VERDICTS}
         news = [s for s in by['no'] if not any(set(fewer) < set(s) for fewer in lost)]
-        able = [s for s in sets if s not in set(by['no'])]
+        able = [s for s in sets if s in {*by['yes'], *by['bounded']}]
+        good = ' for good' if by['temporary'] else ''
         if not able:
-            said = ['none' if len(sets) == 1 else f'none of {len(sets)}']
-        elif not by['no']:
+            said = [('none' if len(sets) == 1 else f'none of {len(sets)}') + good]
+        elif len(able) == len(sets):
             said = [f'all {len(sets)}' + (f': {_list(able)}' if len(able) <= LISTED or size == 1
                                           else '')]
         elif size == 1 or len(able) <= LISTED:
-            said = [f'{len(able)} of {len(sets)}: {_list(able, size == 1)}']
+            said = [f'{len(able)} of {len(sets)}{good}: {_list(able, size == 1)}']
         else:
-            said = [f'{len(able)} of {len(sets)}']
+            said = [f'{len(able)} of {len(sets)}{good}']
+        if by['temporary']:
+            many = f'{len(by["temporary"])} ' if len(by['temporary']) > LISTED else ''
+            said.append(f'{many}for a time: {_list(by["temporary"], size == 1)}')
         if by['no'] and size == 1:
             said.append(f'not {_list(by["no"], True)}')
-        elif by['no'] and able and len(able) > LISTED:
+        elif by['no'] and len(able) + len(by['temporary']) > LISTED:
             holds = [s for s in lost if any(set(s) < set(other) for other in by['no'])]
             parts = ([f'none that holds {_list(holds)}'] if holds else []) + (
                 [f'not {_list(news)}'] if news else [])
@@ -104,8 +110,8 @@ def state_of(entry: Entry | Refusal) -> str:
     done = 'replaced' if entry.channel in entry.fault_set else 'computed'
     if isinstance(entry, Refusal):
         return f'cannot be {done}'
-    return f'can be {done}' + (' within a bound, disturbed by unknown inputs'
-                               if entry.grade == 'bounded' else '')
+    return f'can be {done}' + {'bounded': ' within a bound, disturbed by unknown inputs',
+                               'temporary': ' for a time'}.get(entry.grade, '')
 
 
 def order(entry: Entry) -> str:
@@ -141,6 +147,10 @@ def decay(entry: Entry) -> str:
     """Say how fast an error dies out, judged by the eigenvalues."""
     if not entry.order:
         return 'at once: it has no state'
+    if entry.grade == 'temporary':
+        return ('none: an error that is there at the loss does not die out'
+                if entry.decay > -NEARLY else
+                f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     return f'{number(entry.decay, "1/s")} (an error is down to 5 % in ' \
            f'{number(3.0 / entry.decay, "s")})'
 
@@ -168,6 +178,9 @@ def reads(entry: Entry) -> str:
 def certificate(entry: VirtualSensor) -> list[str]:
     """Say in sentences how far its stability is proved."""
     c = entry.certificate
+    if entry.grade == 'temporary':
+        return ['nothing is certified: it starts from the last good readings of '
+                f'{", ".join(entry.tracking.channels) if entry.tracking else "its channel"}']
     if c is None:
         terms = ', '.join(entry.terms[i].name for i in entry.active)
         if not terms:
@@ -198,6 +211,8 @@ def _bound(c: Certificate) -> str:
 
 def certified(entry: Entry) -> str:
     """Return the certificate in a word, for a table."""
+    if entry.grade == 'temporary':
+        return 'for a time only'
     if entry.certificate is None:
         linear = isinstance(entry, VirtualSensor) and not entry.active
         return 'linear: everywhere' if linear else 'not certified'
@@ -214,7 +229,7 @@ def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
 
 def disturbance(entry: VirtualSensor, unit: str) -> str:
     """Say what unknown inputs do to the estimate."""
-    if entry.grade == 'exact':
+    if entry.grade in ('exact', 'temporary'):
         return 'do not reach it'
     near = ' (near the operating point)' if entry.active else ''
     return (f'reach it: one of size 1, at the worst frequency, puts it out by at most '

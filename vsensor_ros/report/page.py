@@ -20,7 +20,7 @@ from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import affine_node
-from vsensor_ros.report import design_text, report_simulation
+from vsensor_ros.report import design_text, for_a_time, report_simulation
 from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
@@ -46,7 +46,8 @@ table.pairs { font-size: .75em; }
 table.pairs td { text-align: center; padding: .05rem .2rem; border: 1px solid #ddd; }
 table.pairs th { padding: .05rem .2rem; border: 0; font-weight: normal; }
 table.pairs tr:last-child th { writing-mode: vertical-rl; }
-.yes { background: #d9f0dc; } .bounded { background: #fdf0c8; } .no { background: #f8d7d3; }
+.yes { background: #d9f0dc; } .bounded { background: #fdf0c8; }
+.temporary { background: #dfe9fb; } .no { background: #f8d7d3; }
 .small, figcaption { color: #555; font-size: .88em; }
 tr.taken td { font-weight: bold; }
 .doubt { background: #fdf0c8; padding: .2rem .5rem; }
@@ -57,7 +58,8 @@ svg { max-width: 100%; height: auto; }
 code { font-family: 'DejaVu Sans Mono', monospace; font-size: .92em; }
 a { color: #1f5fbf; text-decoration: none; }
 @media print { body { max-width: none; margin: 0; font-size: 10pt; }
-  .yes, .bounded, .no { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
+  .yes, .bounded, .temporary, .no {
+    print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
 
@@ -132,10 +134,10 @@ def _facts(facts: Iterable[tuple[str, str]]) -> str:
 
 def _summary(design: Design) -> str:
     total, able = len(design.entries), len(design.virtual_sensors)
-    bounded = sum(v.grade == 'bounded' for v in design.virtual_sensors)
     said = f'<strong>{able} of {total}</strong> can be replaced'
-    if bounded:
-        said += f', {bounded} of them within a bound only'
+    for grade, how in (('bounded', 'within a bound'), ('temporary', 'for a time')):
+        if count := sum(v.grade == grade for v in design.virtual_sensors):
+            said += f', {count} of them {how} only'
     wary = sum(design_text.certified(v) in ('not certified', 'NOT certified')
                for v in design.virtual_sensors)
     if wary:
@@ -197,7 +199,7 @@ def _pairs(design: Design) -> str:
     if len(names) > GRID or len(pairs) < 3 or len(pairs) < len(names) * (len(names) - 1) // 2:
         return ''
     single = design_text.losses(design).get(1, {})
-    marks = {'yes': 'yes', 'bounded': 'bound', 'no': 'no'}
+    marks = {'yes': 'yes', 'bounded': 'bound', 'temporary': 'time', 'no': 'no'}
     rows = []
     for i, a in enumerate(names):
         cells = []
@@ -230,7 +232,7 @@ def _overview(design: Design) -> str:
                      escape(design_text.number(n.error, unit)) if n else '',
                      f'{n.ratio:.2f}' if n and np.isfinite(n.floor) else '',
                      'at once' if not entry.order else rate, escape(design_text.certified(entry))))
-        classes.append('bounded' if entry.grade == 'bounded' else '')
+        classes.append(entry.grade if entry.grade != 'exact' else '')
     return ('<h2>All at a glance</h2>' + _table(
         rows, ('failed', 'replaced', 'order', 'noise error', 'x floor', 'decay [1/s]',
                'stability proved'), (3, 4, 5), classes))
@@ -258,7 +260,7 @@ def _places(plant: Plant, design: Design, locations: Sequence[Location] | None) 
 def _entries(plant: Plant, design: Design,
              progress: Callable[[int, int, str], None] | None) -> str:
     sensors = [v for v in design.virtual_sensors
-               if isinstance(v, VirtualSensor) and len(v.Cv) == 1]
+               if isinstance(v, VirtualSensor) and len(v.Cv) == 1 and v.grade != 'temporary']
     drawn = {id(v): i for i, v in enumerate(sensors[:MOST_PICTURES])}
     parts = ['<h2>One by one</h2>']
     if len(sensors) > MOST_PICTURES:
@@ -272,7 +274,7 @@ def _entries(plant: Plant, design: Design,
             if entry.alternative:
                 body += f'<p>Instead: {escape(entry.alternative)}</p>'
         else:
-            body = _sensor(plant, entry, design.units.get(channel, ''))
+            body = _sensor(plant, design, entry)
             if isinstance(entry, VirtualSensor) and id(entry) in drawn:
                 if progress is not None:
                     progress(drawn[id(entry)], len(drawn), f'picture of {channel}')
@@ -283,24 +285,33 @@ def _entries(plant: Plant, design: Design,
     return '\n'.join(parts)
 
 
-def _sensor(plant: Plant, entry: Entry, unit: str) -> str:
+def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
+    unit = design.units.get(entry.channel, '')
     if not isinstance(entry, VirtualSensor):
         return _facts([(name, escape(value)) for name, value in design_text.facts(entry, unit)])
+    temporary = entry.grade == 'temporary'
+    allowed = for_a_time.tolerances(design, entry) if temporary else []
     facts = [
         ('order', escape(design_text.order(entry))),
         ('reads', escape(design_text.reads(entry))),
-        ('noise error', escape(design_text.noise(entry, unit))),
+        ('good', escape(for_a_time.good_for(entry, allowed, unit)) if temporary else ''),
+        ('slow offset', escape(for_a_time.learning(plant, entry, allowed, unit))),
+        ('noise error', '' if temporary else escape(design_text.noise(entry, unit))),
         ('decay', escape(design_text.decay(entry))),
         ('eigenvalues of N', escape(design_text.eigenvalues(entry, EIGENVALUES))),
         ('stability', '<br>'.join(map(escape, design_text.certificate(entry)))),
         ('unknown inputs', escape(design_text.disturbance(entry, unit))
          if plant.disturbances or entry.grade != 'exact' else ''),
-        ('noise gain', f'{design_text.number(entry.noise_gain)}: no error of the readings is '
-                       'amplified by more, at any frequency'),
+        ('noise gain', '' if temporary else f'{design_text.number(entry.noise_gain)}: no error of '
+                       'the readings is amplified by more, at any frequency'),
         ('nonlinear terms', escape(', '.join(entry.terms[i].name for i in entry.active))),
         ('found as', escape(entry.method)),
     ]
     text = _facts(facts)
+    if temporary:
+        text += '<p class=small>One standard deviation of it after the last good reading:</p>' \
+            + _table([tuple(map(escape, row)) for row in
+                                    for_a_time.growth(entry, unit)], ('after', ''), (0, 1))
     if entry.ladder:
         text += '<p class=small>The ladder of orders:</p>' + _table(
             [(str(r.order), escape(design_text.number(r.noise, unit)),
@@ -392,6 +403,8 @@ def _reading() -> str:
          'the linear part has been judged'),
         ('unknown inputs', 'what acts on the plant and nobody measures; an exact virtual sensor '
          'does not feel them, a bounded one does, by the gain stated'),
+        ('for a time', 'an error that is there when the channel is lost stays or grows: it starts '
+         'from the last good readings, and is good until noise and drift have added up'),
         ('in doubt', 'a decision on a rank so close that a small error of the model turns it'),
         ('pictures', "simulated without sensor noise; the replacer's own arithmetic beside the "
          'true plant, which is held by its commands where it is unstable by itself'),

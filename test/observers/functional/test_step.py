@@ -1,5 +1,7 @@
 """The step against closed forms, the papers' numbers and independent integrations."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -35,17 +37,32 @@ def test_linear_part_is_exact_for_linear_readings_and_held_commands(bench):
     np.testing.assert_allclose(z[0], truth, atol=1e-11)
 
 
-def errors(bench, rates, lam=None, z0=None):
+pytestmark = pytest.mark.xdist_group('step')  # its truths are integrated once
+FINEST = 200  # Hz
+
+
+@pytest.fixture(scope='module')
+def truth_of(bench):
+    """Return what gives the truths x and z of a servo, or of a tank, at a rate, for 8 s."""
+    t = np.arange(8 * FINEST + 1) / FINEST
+    servo = cache(lambda lam: bench.servo_truth(lam, t))
+    tank = cache(lambda z0: bench.tank_truth(z0, t))
+
+    def at(rate, lam, z0):
+        x, z = tank(z0) if lam is None else servo(lam)
+        return x[..., ::FINEST // rate], z[..., ::FINEST // rate]
+    return at
+
+
+def errors(bench, truth_of, rates, lam=None, z0=None):
     found = []
     for rate in rates:
-        t = np.arange(int(8 * rate) + 1) / rate
+        x, z = truth_of(rate, lam, z0)
         if lam is not None:
-            x, z = bench.servo_truth(lam, t)
             truth, key, readings = z + (lam + 1) * x[2], (('y2',), 'y2'), {'y1': x[0], 'y3': x[2]}
             d = bench.design(bench.servo(lam), names=('y1', 'y2', 'y3'), inputs=('u',))
             commands = {'u': lambda t: 2 * np.sin(t)}
         else:
-            x, z = bench.tank_truth(z0, t)
             truth, key, readings = z[0] - z[1], (('y1',), 'y1'), {'y1': x[1], 'y2': x[2]}
             d = bench.design(bench.tank(z0), inputs=('u1', 'u2'))
             commands = {'u1': lambda t: 0.5, 'u2': lambda t: 0.2}
@@ -53,8 +70,8 @@ def errors(bench, rates, lam=None, z0=None):
     return [float(np.abs(e - v).max()) for e, v in found], found
 
 
-def test_servo_is_as_exact_as_the_reference_and_of_second_order(bench, reference):
-    e, _ = errors(bench, (50, 100, 200), lam=-1.0)
+def test_servo_is_as_exact_as_the_reference_and_of_second_order(bench, truth_of, reference):
+    e, _ = errors(bench, truth_of, (50, 100, 200), lam=-1.0)
     table = reference['runtime']['servo_lam=-1.0']
     assert e[0] <= 1.01 * table['50Hz']['exp_foh_prox']['max']
     assert e[1] <= 1.01 * table['100Hz']['exp_foh_prox']['max']
@@ -62,8 +79,8 @@ def test_servo_is_as_exact_as_the_reference_and_of_second_order(bench, reference
     assert e[2] < e[1] / 3.7
 
 
-def test_a_sign_that_only_passes_zero_is_split_there(bench, reference):
-    e, _ = errors(bench, (50, 100, 200), lam=-10.0)
+def test_a_sign_that_only_passes_zero_is_split_there(bench, truth_of, reference):
+    e, _ = errors(bench, truth_of, (50, 100, 200), lam=-10.0)
     table = reference['runtime']['servo_lam=-10.0']
     assert e[0] <= table['50Hz']['exp_foh_event_split']['max']
     assert e[1] <= table['100Hz']['exp_foh_event_split']['max']
@@ -71,9 +88,9 @@ def test_a_sign_that_only_passes_zero_is_split_there(bench, reference):
     assert e[2] < e[1] / 3.5
 
 
-def test_a_stopped_axis_does_not_chatter(bench):
+def test_a_stopped_axis_does_not_chatter(bench, truth_of):
     for lam, exactly in ((-1.0, 0.0), (-10.0, 1e-15)):
-        _, found = errors(bench, (100,), lam=lam)
+        _, found = errors(bench, truth_of, (100,), lam=lam)
         estimate, truth = found[0]
         rests = np.abs(truth) < 1e-12
         assert rests.sum() > 200
@@ -94,22 +111,21 @@ def test_truth_is_the_reference(bench, reference):
         np.testing.assert_allclose(z[0] - z[1], list(v.values()), atol=2e-6)
 
 
-def test_tank_is_as_exact_as_the_reference_and_of_second_order(bench, reference):
-    e, found = errors(bench, (50, 100), z0=(4, 1))
+def test_tank_is_as_exact_as_the_reference_and_of_second_order(bench, truth_of, reference):
+    e, found = errors(bench, truth_of, (50, 100), z0=(4, 1))
     table = reference['runtime']['tank_const_u_z0=(4,1)']
     assert e[0] <= 1.01 * table['50Hz']['rk4_foh']['v_max']
     assert e[1] <= 1.01 * table['100Hz']['rk4_foh']['v_max']
     assert e[1] < e[0] / 3.9
 
 
-def test_tank_from_outside_the_domain_converges_and_is_counted(bench, reference):
-    e, _ = errors(bench, (50, 100), z0=(1, 4))
+def test_tank_from_outside_the_domain_converges_and_is_counted(bench, truth_of, reference):
+    e, _ = errors(bench, truth_of, (50, 100), z0=(1, 4))
     table = reference['runtime']['tank_const_u_printed_z0=(1,4)_oddsqrt']
     assert e[0] <= 2 * table['50Hz']['rk4_foh']['v_max']  # where it crosses the kink is luck
     assert e[1] <= 2 * table['100Hz']['rk4_foh']['v_max']
 
-    t = np.arange(401) / 100
-    x, z = bench.tank_truth((1, 4), t)
+    x, z = (a[..., :401] for a in truth_of(100, None, (1, 4)))
     bank = Bank(bench.design(bench.tank((1, 4)), inputs=('u1', 'u2')), 100)
     bench.run(bank, (('y1',), 'y1'), 100, {'y1': x[1], 'y2': x[2]},
               {'u1': lambda t: 0.5, 'u2': lambda t: 0.2})
@@ -129,12 +145,13 @@ def several_signs(bench):
 
 def test_several_signs_in_one_virtual_sensor(bench):
     v = several_signs(bench)
-    e = []
-    for rate in (50, 200, 800):
+    finest, e = 800, []
+    truths = bench.friction_truth(
+        lambda t, z: v.N @ z + v.J[:, 0] * np.sin(2 * t) + v.P[:, 2] * np.sin(2 * z[0] + z[2]),
+        v.P[:, :2], np.eye(3)[:2], v.z0, np.arange(6 * finest + 1) / finest)
+    for rate in (50, 200, finest):
         t = np.arange(6 * rate + 1) / rate
-        truth = bench.friction_truth(
-            lambda t, z: v.N @ z + v.J[:, 0] * np.sin(2 * t) + v.P[:, 2] * np.sin(2 * z[0] + z[2]),
-            v.P[:, :2], np.eye(3)[:2], v.z0, t)
+        truth = truths[:, ::finest // rate]
         step = make_step([v], ('y2',), 1 / rate)
         z, found = v.z0[None, :], [v.z0]
         none = np.zeros(0)

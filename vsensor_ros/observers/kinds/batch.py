@@ -21,21 +21,47 @@ class Told(NamedTuple):
     held: np.ndarray  # (m,) commands that hold from then on; (0,) when nobody asks for them
 
 
+class Tracked(NamedTuple):
+    """A virtual sensor that its failed channels correct while they are believed (method, 8)."""
+
+    own: int  # its row below V; of a temporary one that is the free run
+    tracker: int  # row of the run that the channels correct
+    free: int  # row of the run that goes on from a state of the tracker, without the channels
+    channels: tuple[int, ...]  # the sensors that correct
+    warm_up: float  # s until the tracker has forgotten its start; inf: not known
+
+    @property
+    def temporary(self) -> bool:
+        """Whether there is no run that never needed the channels."""
+        return self.free == self.own
+
+
+class Bent(NamedTuple):
+    """How the error of a free run begins and grows whose nonlinear terms bend it."""
+
+    start: np.ndarray  # (k, k) covariance of z at its start
+    growth: np.ndarray  # (k, k) what a step adds
+    row: np.ndarray  # (k,) of z in what it says
+    direct: float  # variance of what it says beside that
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Batch(ABC):
     """
-    V virtual sensors with O outputs, O >= V, and the states z (V, k) of them all.
+    V virtual sensors with O outputs, O >= V, and R >= V runs of them, with states z (R, k).
 
-    Arrays of V are by virtual sensor, those of O by output. What a kind has nothing to say of
-    keeps its default. Methods must not change what they are given, and must not fail for
-    numbers that are not finite.
+    Run i < V is that of virtual sensor i, those beyond help them: see `tracked`. Arrays of V are
+    by virtual sensor, those of O by output, those of R by run. Where z is (V, k) it is what
+    serves: of each virtual sensor one of its runs. What a kind has nothing to say of keeps its
+    default. Methods must not change what they are given, and must not fail for numbers that are
+    not finite.
     """
 
     keys: tuple[Key, ...]  # O: fault set and name of each output
     of: np.ndarray  # (O,) int: which virtual sensor says it
     width: int  # k, states of a virtual sensor at most; all else is 0
-    runs_on: np.ndarray  # (V, L + m) bool: readings and commands without which each stops
-    starts_on: np.ndarray  # (V, L + m) bool: and those it needs to start
+    runs_on: np.ndarray  # (R, L + m) bool: readings and commands without which each stops
+    starts_on: np.ndarray  # (R, L + m) bool: and those it needs to start
     own: np.ndarray  # (O,) int: the sensor that an output stands in for; -1: none
     # (O,) steady-state standard deviation, beyond what `deviation` says; NaN: not known
     error: np.ndarray
@@ -44,21 +70,27 @@ class Batch(ABC):
     warm_up: np.ndarray  # (O,) s from its start until nothing of that is left; inf: not known
     proved: np.ndarray  # (O,) bool: that it converges
     wants_held: bool = False  # whether it reads Told.held
+    tracked: tuple[Tracked, ...] = ()
     # entries that cannot be run, and why
     left_out: Mapping[Key, Reason] = field(default_factory=dict)
 
+    @property
+    def size(self) -> int:
+        """V."""
+        return int(self.of.max(initial=-1)) + 1
+
     @abstractmethod
     def start(self, told: Told) -> np.ndarray:
-        """Return the states (V, k) with which to start; what is not finite does not start."""
+        """Return the states (R, k) with which to start; what is not finite does not start."""
 
     @abstractmethod
     def step(self, z: np.ndarray, before: Told, after: Told,
              commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Step the states (V, k) over one period.
+        Step the states (R, k) over one period.
 
         Commands (3, m): at both ends, as a straight line, and their mean. Return the states, and
-        who saw an argument outside of a function's domain (V,) bool.
+        who saw an argument outside of a function's domain (R,) bool.
         """
 
     @abstractmethod
@@ -80,6 +112,14 @@ class Batch(ABC):
     def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Return the standard deviation at an age [s], beside `error` and what was measured."""
         return 0.0
+
+    def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of what a free run says, so long [s] after its start."""
+        return np.full(np.shape(ages), np.inf)
+
+    def bent(self, i: int) -> Bent | None:
+        """Return how the error of a free run grows along its way; None: `drift` tells all."""
+        return None
 
     def interval(self, output: int, z: np.ndarray, told: Told,
                  age: float) -> tuple[float, float] | None:

@@ -17,6 +17,7 @@ _PHASES = 8  # of half a turn
 _SPEEDS = 16  # of modes that swing, at most, spread over all
 _NEVER = 1e-12  # 1/s: a rate below it, 30 000 years, is none
 _FREQUENCIES = 60
+_LATE = 0.2  # s, of a reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,11 +203,26 @@ def reading_gains(v: VirtualSensor) -> np.ndarray:
 
 
 def reading_pushes(v: VirtualSensor) -> np.ndarray:
-    """Return the peak over time of ``|Cv exp(N t) J_j|`` [1/s] for each reading (l0,)."""
+    """
+    Return the peak over time of ``|Cv exp(N t) J_j|`` [1/s] for each reading (l0,).
+
+    Of a temporary one, where it may grow for ever: that over what a reading is late.
+    """
     if not v.order or not len(v.healthy):
         return np.zeros(len(v.healthy))
     rate = _slowest_rate(v)
-    if not rate > 0.0:
+    if v.grade == 'temporary':
+        rows = _first_response(v)
+    elif not rate > 0.0:
         return np.where(v.J.any(axis=0), np.inf, 0.0)
-    peak = np.abs(_response(v, rate)[1] @ v.J).max(axis=(0, 1))
+    else:
+        rows = _response(v, rate)[1]
+    peak = np.abs(rows @ v.J).max(axis=tuple(range(rows.ndim - 1)))
     return np.asarray(peak if v.sample_time is None else peak / v.sample_time)
+
+
+def _first_response(v: VirtualSensor) -> np.ndarray:
+    """Return Cv exp(N t) over what a reading is late (T, k)."""
+    if v.sample_time is None:
+        return np.array([v.Cv[0] @ expm(v.N * t) for t in np.linspace(0.0, _LATE, 9)])
+    return v.Cv[0] @ _powers(v.N, 0)[:max(2, min(16, round(_LATE / v.sample_time)))]

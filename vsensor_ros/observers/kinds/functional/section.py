@@ -10,11 +10,20 @@ import numpy as np
 from vsensor_ros.functions.nonlinearity import check_term, NonlinearTerm
 from vsensor_ros.observers.checked_json import CheckedObject, INF, LARGEST_SIDE, or_null
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.functional.virtual_sensor import is_stable, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking_section import (
+    read_tracking,
+    tracking_record,
+)
+from vsensor_ros.observers.kinds.functional.virtual_sensor import (
+    is_stable,
+    VirtualSensor,
+    worst_of,
+)
 from vsensor_ros.observers.knowledge import Certificate, Limit
 from vsensor_ros.observers.knowledge_section import (
     noise_record,
     proof_record,
+    read_covariance,
     read_noise,
     read_proof,
     read_rung,
@@ -24,7 +33,7 @@ from vsensor_ros.observers.knowledge_section import (
 _ARRAYS = ('Phi', 'N', 'J', 'B', 'P', 'Cv', 'Q', 'Qu', 'z0', 'z0_gain')
 _KEYS = frozenset((
     'healthy', 'order', 'method', 'grade', 'noise_gain', 'disturbance_gain', 'eigenvalues',
-    'terms', 'proof', 'ladder', 'noise', 'certificate', 'start', *_ARRAYS))
+    'terms', 'proof', 'ladder', 'noise', 'certificate', 'start', 'tracking', *_ARRAYS))
 
 
 def write_section(v: VirtualSensor) -> dict[str, Any]:
@@ -34,7 +43,7 @@ def write_section(v: VirtualSensor) -> dict[str, Any]:
         'order': v.order,
         'method': v.method,
         'grade': v.grade,
-        'noise_gain': v.noise_gain,
+        'noise_gain': or_null(v.noise_gain),
         'disturbance_gain': v.disturbance_gain,
         'eigenvalues': [[float(e.real), float(e.imag)] for e in v.eigenvalues],
         **{key: getattr(v, key).tolist() for key in _ARRAYS},
@@ -46,6 +55,7 @@ def write_section(v: VirtualSensor) -> dict[str, Any]:
         'noise': noise_record(v.noise),
         'certificate': None if v.certificate is None else _certificate_record(v.certificate),
         **({} if v.start is None else {'start': v.start.tolist()}),
+        **({} if v.tracking is None else {'tracking': tracking_record(v.tracking)}),
     }
 
 
@@ -77,9 +87,11 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('Cv', f'must have 1 to {LARGEST_SIDE} rows')
     N = reader.array('N', k, k)
     eigenvalues = np.linalg.eigvals(N).astype(complex)
-    if not is_stable(eigenvalues, plant.sample_time):
+    grade = reader.word('grade', ('exact', 'bounded', 'temporary'))
+    temporary = grade == 'temporary'
+    if not temporary and not is_stable(eigenvalues, plant.sample_time):
         raise reader.fail('N', 'is unstable (eigenvalue '
-                          f'{_worst(eigenvalues, plant.sample_time):.6g})')
+                          f'{worst_of(eigenvalues, plant.sample_time):.6g})')
     stored = reader.array('eigenvalues', k, 2)
     if not _same_spectrum(stored[:, 0] + 1j * stored[:, 1], eigenvalues, N):
         raise reader.fail('eigenvalues', 'are not those of N')
@@ -93,17 +105,19 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         Gz.append(item.array('Gz', r, k))
         Gy.append(item.array('Gy', r, l0))
         Gu.append(item.array('Gu', r, m))
-    grade = reader.word('grade', ('exact', 'bounded'))
     v = VirtualSensor(
         channel, fault_set, healthy, plant.inputs, reader.array('Phi', k, n), N,
         reader.array('J', k, l0), reader.array('B', k, m), reader.array('P', k, len(terms)),
         reader.array('Cv', p, k), reader.array('Q', p, l0), tuple(Gz), tuple(Gy), tuple(terms),
         plant.sample_time, reader.array('z0', k), reader.array('z0_gain', k, l0),
-        stored[:, 0] + 1j * stored[:, 1], reader.size('noise_gain'), reader.text('method'),
-        reader.array('Qu', p, m), tuple(Gu), grade, reader.size('disturbance_gain'),
-        read_proof(reader.optional('proof'), k, grade),
+        stored[:, 0] + 1j * stored[:, 1], reader.size('noise_gain', infinite=temporary),
+        reader.text('method'), reader.array('Qu', p, m), tuple(Gu), grade,
+        reader.size('disturbance_gain'), read_proof(reader.optional('proof'), k, grade),
         tuple(read_rung(item) for item in reader.objects('ladder')),
-        read_noise(reader.optional('noise')), start=_read_start(reader, k))
+        read_noise(reader.optional('noise')), start=_read_start(reader, k),
+        tracking=read_tracking(reader, fault_set, channel, N, l0, m, plant.sample_time))
+    if temporary and v.tracking is None:
+        raise reader.fail('tracking', 'is missing: a temporary one needs it')
     certificate = reader.optional('certificate')
     return v if certificate is None else replace(
         v, certificate=_read_certificate(certificate, v, version))
@@ -218,24 +232,7 @@ def _read_limits(reader: CheckedObject) -> tuple[float, float]:
 
 
 def _read_start(reader: CheckedObject, k: int) -> np.ndarray | None:
-    if 'start' not in reader.record:
-        return None
-    start = reader.array('start', k, k)
-    if not np.array_equal(start, start.T):
-        raise reader.fail('start', 'is not symmetric')
-    size = np.sqrt(np.abs(np.diag(start)))
-    unit = np.divide(1.0, size, out=np.zeros(k), where=size > 0.0)
-    with np.errstate(all='ignore'):
-        scaled = start * unit * unit[:, None]
-    if not np.isfinite(scaled).all() or start[size == 0.0].any() or (
-            k and np.linalg.eigvalsh(scaled).min() < -1e-6):
-        raise reader.fail('start', 'is not a covariance')
-    return start
-
-
-def _worst(eigenvalues: np.ndarray, sample_time: float | None) -> complex:
-    size = eigenvalues.real if sample_time is None else np.abs(eigenvalues)
-    return complex(eigenvalues[int(np.argmax(size))])
+    return read_covariance(reader, 'start', k) if 'start' in reader.record else None
 
 
 def _same_spectrum(stored: np.ndarray, computed: np.ndarray, N: np.ndarray) -> bool:

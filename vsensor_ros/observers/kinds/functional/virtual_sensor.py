@@ -2,7 +2,8 @@
 The data of the kind functional: an observer of linear functionals of the plant's state.
 
 Letters are those of the method: order k, p rows of the wanted functional (one for a sensor's
-channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments.
+channel), l0 healthy sensors, m inputs, q nonlinear terms with r_i arguments, f channels that
+track.
 """
 
 from __future__ import annotations
@@ -16,6 +17,32 @@ from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers.kinds.functional.argument_name import argument_name
 from vsensor_ros.observers.knowledge import Certificate, Noise, Proof, Rung
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """
+    How readings of the failed channels correct z while they are still believed (method 3.12).
+
+    ``d z = N z + J y0 + .. + L r`` with ``r = y_f - (C z + Q y0 + Qu u)``, and without them
+    ``d P = N P + P N' + W`` for the covariance P of ``e = Phi x - z``.
+    """
+
+    channels: tuple[str, ...]  # f of the fault set: those that z and y0 tell; the own one first
+    L: np.ndarray  # (k, f) steady Kalman gain
+    C: np.ndarray  # (f, k)
+    Q: np.ndarray  # (f, l0)
+    Qu: np.ndarray  # (f, m)
+    P: np.ndarray  # (k, k) covariance of e in steady state while they correct
+    W: np.ndarray  # (k, k) growth of that of e per s (discrete: per step) without them
+    direct: float  # variance of vhat by the noise of y0 through its Q, unit of the channel squared
+    assumed: bool = False  # some of the noise that this is made of was not given
+    noise: np.ndarray | None = None  # (f,) standard deviation of one reading; None: not known
+    # (k, k) N with the terms' slopes at the operating point, by which P moves; None: it is N
+    slopes: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +81,9 @@ class VirtualSensor:
     method: str  # how it was found
     Qu: np.ndarray = None  # type: ignore[assignment]  # (p, m); zeros when left out
     Gu: tuple[np.ndarray, ...] = None  # type: ignore[assignment]  # q arrays (r_i, m); as Qu
-    grade: str = 'exact'  # 'exact': rho does not reach the error; 'bounded': it does
+    # 'exact': rho does not reach the error; 'bounded': it does; 'temporary': exact, but an error
+    # stays or grows, so that it serves for a time after its channel was lost
+    grade: str = 'exact'
     disturbance_gain: float = 0.0  # peak over frequency from rho to the error
     proof: Proof | None = None
     ladder: tuple[Rung, ...] = ()
@@ -62,6 +91,7 @@ class VirtualSensor:
     certificate: Certificate | None = None
     # (k, k) covariance of Phi x - z at the start; None: not known
     start: np.ndarray | None = None
+    tracking: Tracking | None = None  # None: nothing to track, or not known how
 
     def __post_init__(self) -> None:
         m = len(self.inputs)
@@ -69,11 +99,7 @@ class VirtualSensor:
             object.__setattr__(self, 'Qu', np.zeros((len(self.Cv), m)))
         if self.Gu is None:
             object.__setattr__(self, 'Gu', tuple(np.zeros((len(g), m)) for g in self.Gz))
-        # a fresh one and a loaded one are alike: not to be written to
-        for value in vars(self).values():
-            for array in value if isinstance(value, tuple) else (value,):
-                if isinstance(array, np.ndarray):
-                    array.flags.writeable = False
+        _freeze(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -87,7 +113,7 @@ class VirtualSensor:
 
     @property
     def decay(self) -> float:
-        """Slowest rate [1/s] at which a linear error dies out; inf without states."""
+        """Slowest rate [1/s] at which a linear error dies out, below 0: grows; inf: no states."""
         return decay_of(self.eigenvalues, self.sample_time)
 
     @property
@@ -118,11 +144,25 @@ class VirtualSensor:
                      for term, argument, low, high in limits)
 
 
+def _freeze(data: Tracking | VirtualSensor) -> None:
+    """Let nobody write to the arrays: a fresh one and a loaded one are alike."""
+    for value in vars(data).values():
+        for array in value if isinstance(value, tuple) else (value,):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+
+
 def is_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:
     """Tell whether a linear error with these eigenvalues dies out."""
     if sample_time is None:
         return bool(np.all(eigenvalues.real < 0.0))
     return bool(np.all(np.abs(eigenvalues) < 1.0))
+
+
+def worst_of(eigenvalues: np.ndarray, sample_time: float | None) -> complex:
+    """Return that of the eigenvalues by which a linear error dies out last, or grows most."""
+    size = eigenvalues.real if sample_time is None else np.abs(eigenvalues)
+    return complex(eigenvalues[int(np.argmax(size))])
 
 
 def decay_of(eigenvalues: np.ndarray, sample_time: float | None) -> float:

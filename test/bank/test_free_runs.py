@@ -1,0 +1,335 @@
+"""What goes on from the last good readings: from where, how surely, and why it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vsensor_ros.bank import Bank, composite
+from vsensor_ros.observers import Noise, Told
+
+MS = 1_000_000
+RATE, PERIOD = 50, 20
+KEY = (('angle',), 'angle')
+NAMES = ('angle', 'tacho')
+
+
+@pytest.fixture(scope='module')
+def made(bench):
+    return bench.design(bench.encoder(), names=NAMES)
+
+
+class Run:
+    """A joint and its bank; time [ms] goes on reading by reading."""
+
+    def __init__(self, bench, made, seconds=12.0, seed=0, bank=None, **more):
+        self.x, self.y = bench.joint(seconds, seed)
+        self.bank = bank or Bank(made, RATE, **more)
+        self.k = -1
+
+    def until(self, time, angle=None, silent=(), tacho=None):
+        """Go on to a time [ms]; angle: what the encoder says of its reading k."""
+        for k in range(self.k + 1, time // PERIOD + 1):
+            now = k * PERIOD * MS
+            said = self.y[k, 0] if angle is None else angle(k)
+            for name, value in (('angle', said), ('tacho', self.y[k, 1])):
+                if name not in silent:
+                    self.bank.take(name, now, value)
+            self.bank.advance(now)
+            self.k = k
+        return self
+
+    @property
+    def error(self):
+        return self.bank.estimate(*KEY) - self.x[self.k, 0]
+
+    @property
+    def deviation(self):
+        return self.bank.deviation(*KEY)
+
+
+def test_from_the_first_seconds_on_and_as_sure_as_it_says(bench, made):
+    """Lost 1.5 s after the start: the error is as large as is stated, and grows as stated."""
+    errors, stated = [], []
+    for seed in range(16):
+        run = Run(bench, made, 6.0, seed).until(1500)
+        assert run.bank.ready(*KEY)
+        before = run.deviation
+        run.bank.distrust({'angle'})
+        assert run.deviation == pytest.approx(before, rel=0.05)
+        found = []
+        for time in (1500, 2500, 5500):
+            run.until(time)
+            assert run.bank.ready(*KEY) and run.bank.why_not(*KEY) is None
+            found.append((run.error, run.deviation))
+        errors.append([e for e, _ in found])
+        stated.append([d for _, d in found])
+    errors, stated = np.array(errors), np.array(stated)
+    assert (np.abs(errors) <= 2 * stated).mean() >= 0.9
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    assert (rms > 0.6 * stated.mean(axis=0)).all() and (np.diff(stated, axis=1) > 0.0).all()
+
+
+def test_what_a_fault_does_within_the_guard_never_serves(bench, made):
+    """It begins at all times before isolation; who is clean is as if there had been no fault."""
+    isolated, clean = 4000, {}
+    sound = Run(bench, made, 5.0).until(isolated)
+    sound.bank.distrust({'angle'})
+    sound.until(4500)
+    for before in (0, 20, 100, 240, 480, 500, 520, 700, 1000, 1300):
+        run = Run(bench, made, 5.0)
+        faulty = (isolated - before) // PERIOD
+        run.until(isolated, lambda k, run=run, faulty=faulty: run.y[k, 0] + 5.0 * (k >= faulty))
+        run.bank.distrust({'angle'})
+        run.until(4500)
+        assert run.bank.ready(*KEY)
+        clean[before] = abs(run.error) <= 3 * run.deviation
+        assert clean[before] == (run.bank.estimate(*KEY) == sound.bank.estimate(*KEY))
+        # the offset of the switch has nothing of the fault, either
+        assert not clean[before] or abs(run.bank.disagreement(*KEY)) < 10 * sound.deviation
+    assert [b for b, good in clean.items() if good] == [0, 20, 100, 240, 480, 500]
+
+
+@pytest.mark.parametrize(('guard', 'last'), [(0.0, 0), (0.2, 200), (1.0, 1000)])
+def test_the_guard_is_a_parameter_and_what_it_needs_is_kept(bench, made, guard, last):
+    for before, good in ((last, True), (last + 20, False)):
+        run = Run(bench, made, 5.0, guard={'angle': guard})
+        faulty = (4000 - before) // PERIOD
+        run.until(4000, lambda k, run=run, faulty=faulty: run.y[k, 0] + 5.0 * (k >= faulty))
+        run.bank.distrust({'angle'})
+        run.until(4500)
+        assert (abs(run.error) <= 3 * run.deviation) == good
+
+
+def test_an_onset_that_is_known_counts_until_it_is_older_than_what_is_kept(bench, made):
+    for before, good in ((600, True), (900, True), (1500, False)):
+        run = Run(bench, made, 6.0)
+        onset = 4000 - before
+        run.until(4000, lambda k, run=run, at=onset: run.y[k, 0] + 5.0 * (k * PERIOD >= at))
+        run.bank.distrust({'angle'}, onsets={'angle': onset * MS})
+        run.until(4500)
+        assert run.bank.ready(*KEY) == good
+        if good:
+            assert abs(run.error) <= 3 * run.deviation
+            assert run.bank.started(*KEY) < onset * MS - 500 * MS
+        else:
+            assert run.bank.why_not(*KEY).code == 'tracked too long ago'
+            assert run.bank.remaining(*KEY, 1.0) == 0.0
+
+
+def test_of_a_silent_one_from_before_its_last_reading(bench, made):
+    run = Run(bench, made, 12.0).until(3000)
+    run.until(9000, silent=('angle',))  # held for max_age, and nobody isolates it for long
+    run.bank.distrust({'angle'})
+    run.until(9500, silent=('angle',))
+    assert run.bank.started(*KEY) == (3000 - 520) * MS
+    assert run.bank.ready(*KEY) and abs(run.error) <= 3 * run.deviation
+    assert run.deviation == pytest.approx(run.bank._measured.growth.stated(0, 7.02))
+
+
+def test_readings_may_come_late_and_seldom(bench, made):
+    """Every fifth reading of the encoder, late by 80 ms, is as good as if it came at once."""
+    late, prompt = (Run(bench, made, 8.0) for _ in range(2))
+    for k in range(0, 300):
+        for run, delay in ((late, 4), (prompt, 0)):
+            run.k = k
+            run.bank.take('tacho', k * PERIOD * MS, run.y[k, 1])
+            if k % 5 == delay and k >= delay:
+                run.bank.take('angle', (k - delay) * PERIOD * MS, run.y[k - delay, 0])
+            run.bank.advance(k * PERIOD * MS)
+    for run in (late, prompt):
+        run.bank.distrust({'angle'})
+        run.until(7000)
+        assert abs(run.error) <= 3 * run.deviation
+    assert late.bank.estimate(*KEY) == pytest.approx(prompt.bank.estimate(*KEY), abs=1e-12)
+
+
+def test_a_late_reading_of_what_it_reads_counts(bench, made):
+    prompt, late = (Run(bench, made, 6.0).until(3000) for _ in range(2))
+    for run in (prompt, late):
+        run.bank.distrust({'angle'})
+    prompt.until(4000)
+    late.until(3900, silent=())
+    for k in range(196, 201):
+        late.bank.advance(k * PERIOD * MS)
+    for k in range(196, 201):
+        late.k = k
+        late.bank.take('tacho', k * PERIOD * MS, late.y[k, 1])
+    late.until(4020)
+    prompt.until(4020)
+    assert late.bank.estimate(*KEY) == pytest.approx(prompt.bank.estimate(*KEY), abs=1e-12)
+
+
+def test_why_it_does_not_serve(bench, made):
+    bank = Bank(made, RATE)
+    assert bank.waiting(*KEY) == np.inf and not bank.ready(*KEY)
+    run = Run(bench, made, 12.0, bank=bank).until(100)
+    assert bank.why_not(*KEY).code.startswith('converging')
+    assert bank.waiting(*KEY) < bank.warm_up(*KEY) < 1.0
+    bank.distrust({'angle'})  # too soon
+    run.until(500)
+    assert bank.why_not(*KEY).code == 'not tracked yet' and not bank.ready(*KEY)
+    bank.distrust(())
+    run.until(2500)
+    assert bank.ready(*KEY)  # tracked anew
+    bank.distrust({'tacho'})
+    assert str(bank.why_not(*KEY)) == 'tacho is isolated' and bank.estimate(*KEY) is None
+    bank.distrust(())
+    run.until(4500)
+    bank.distrust({'angle'})
+    run.until(5000)
+    assert bank.ready(*KEY)
+    run.until(6000, silent=('tacho',))
+    assert bank.why_not(*KEY).code == 'input silent' and bank.deviation(*KEY) == np.inf
+    run.until(6500)
+    assert bank.why_not(*KEY).code == 'track lost' and not bank.ready(*KEY)
+    bank.reset()
+    run.until(7000)
+    assert bank.why_not(*KEY).code == 'not tracked yet'
+    bank.distrust(())
+    run.until(9500)
+    assert bank.ready(*KEY) and bank.why_not(*KEY) is None
+
+
+def test_lost_again_before_it_is_tracked_again_it_goes_on(bench, made):
+    run = Run(bench, made, 8.0).until(3000)
+    run.bank.distrust({'angle'})
+    run.until(4000)
+    began = run.bank.started(*KEY)
+    run.bank.distrust(())
+    run.until(4060)
+    run.bank.distrust({'angle'})
+    run.until(6000)
+    assert run.bank.started(*KEY) == began and run.bank.ready(*KEY)
+    assert abs(run.error) <= 3 * run.deviation
+
+
+def test_how_long_it_is_good_for(bench, made):
+    run = Run(bench, made, 12.0).until(3000)
+    whole = run.bank.remaining(*KEY, 0.003)
+    run.bank.distrust({'angle'})
+    run.until(5000)
+    left = run.bank.remaining(*KEY, 0.003)
+    assert whole - left == pytest.approx(2.0, abs=0.1) and run.deviation < 0.003
+    run.until(5000 + int(1000 * left) - 100)
+    assert run.deviation < 0.003
+    run.until(5000 + int(1000 * left) + 100)
+    assert run.deviation > 0.003 and run.bank.remaining(*KEY, 0.003) == 0.0
+
+
+def test_a_model_that_is_wrong_shows_while_it_rehearses(bench):
+    """The tacho's scale is off by 3 %: the growth is as measured, so that the truth is within."""
+    made = bench.design(bench.encoder(gain=1.03), names=NAMES)
+    inside, outside = [], []
+    for seed in range(6):
+        run = Run(bench, made, 26.0, seed).until(20_000)
+        computed = run.bank._batch.drift(0, np.array([2.5]))[0]
+        run.bank.distrust({'angle'})
+        run.until(22_000)
+        assert run.deviation > 2 * computed
+        inside.append(abs(run.error) <= 2 * run.deviation)
+        outside.append(abs(run.error) > 2 * computed)
+    assert np.mean(inside) >= 0.9 and np.mean(outside) > 0.5
+
+
+def test_neither_a_fault_before_its_isolation_nor_a_spike_enters_what_was_rehearsed(bench, made):
+    sound, faulty = (Run(bench, made, 24.0) for _ in range(2))
+    sound.until(20_000)
+    faulty.until(20_000, lambda k: faulty.y[k, 0] + 5.0 * (k * PERIOD > 19_200))
+    for run in (sound, faulty):
+        run.bank.distrust({'angle'})
+        run.until(22_500)
+    growth = [run.bank._measured.growth.measured for run in (sound, faulty)]
+    assert np.isfinite(growth[0][0, :3]).all() and np.nanmax(growth[1]) < 0.01
+    spiky = Run(bench, made, 90.0)
+    spiky.until(90_000, lambda k: spiky.y[k, 0] + 5.0 * (k == 2000))
+    assert np.nanmax(spiky.bank._measured.growth.measured[0, :3]) < 0.01
+
+
+def _beside_a_command(bench, error):
+    """Return a lag that a command drives: its independent run is good to an error."""
+    slow = bench.encoder(grade='exact', noise=Noise(error, error, False))
+    return bench.design(replace(
+        slow, N=np.array([[-2.0]]), J=np.array([[0.0]]), B=np.array([[2.0]]), inputs=('u',),
+        Qu=np.zeros((1, 1)), Gu=(), eigenvalues=np.array([-2.0 + 0j]), tracking=replace(
+            slow.tracking, Qu=np.zeros((1, 1)), W=np.array([[4e-5]]))),
+        names=NAMES, inputs=('u',))
+
+
+def _lost_after(steps, bank, said):
+    """Let the channel say this of each step, and lose it; yield after each step from then on."""
+    for k in range(steps + 525):
+        now = k * PERIOD * MS
+        bank.take('u', now, 1.0)
+        bank.take('angle', now, 1.0 - np.exp(-0.04 * k) + said(k))
+        bank.advance(now)
+        if k == steps:
+            assert bank.ready(*KEY) and bank.run(*KEY) == ''
+            bank.distrust({'angle'})
+        if k >= steps:
+            yield k
+
+
+def test_the_surer_of_two_runs_serves_and_not_by_turns(bench):
+    """An independent run that is good to 0.002 takes over when the free one no longer is."""
+    bank, runs, values = Bank(_beside_a_command(bench, 0.002), RATE), [], []
+    for _ in _lost_after(75, bank, lambda k: 0.0):
+        runs.append(bank.run(*KEY))
+        values.append((bank.estimate(*KEY), bank.deviation(*KEY)))
+    changes = [a != b for a, b in zip(runs, runs[1:])]
+    assert runs[0] != '' and runs[-1] == '' and sum(changes) == 1
+    at = changes.index(True)
+    assert values[at + 1][1] < 0.8 * values[at][1] * 1.01
+
+
+@pytest.mark.parametrize(('error', 'fault'), [
+    (0.02, 0.5),  # the free run would be the surer, but they do not agree
+    (0.003, 0.01)])  # it is hardly surer
+def test_what_never_read_the_channel_serves_where_the_other_is_no_surer(bench, error, fault):
+    """
+    A fault that nobody noticed for longer than the guard is in the free run alone.
+
+    But an independent run that was not compared for long may be off itself.
+    """
+    bank = Bank(_beside_a_command(bench, error), RATE)
+    for k in _lost_after(750, bank, lambda k: fault * (k > 690)):
+        assert bank.run(*KEY) == ''
+        assert abs(bank.estimate(*KEY) - 1.0 + np.exp(-0.04 * k)) < error
+    bank = Bank(_beside_a_command(bench, error), RATE)
+    next(_lost_after(250, bank, lambda k: 0.0))
+    assert bank.run(*KEY) != ''
+
+
+def test_each_kind_has_its_own(bench, made):
+    """Batches of several kinds, one below the other, say what they say alone."""
+    lag = bench.design(bench.virtual_sensor([[-2.0]], [[2.0]], fault_set=('tacho',),
+                                            healthy=('angle',)), names=NAMES)
+    exact = bench.design(bench.encoder(grade='exact'), names=NAMES)
+    parts = [composite.batch_of(d, 1 / RATE, None) for d in (exact, lag, made)]
+    composed = composite._composed(parts, 2, 0)
+    assert composed.size == 3 and len(composed.runs_on) == 6 and len(composed.tracked) == 2
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal((len(composed.runs_on), composed.width))
+    before, after = (Told(rng.standard_normal(2), np.ones(2, dtype=bool), np.zeros(0))
+                     for _ in range(2))
+    stepped, _ = composed.step(z, before, after, np.zeros((3, 0)))
+    for i, here in enumerate(composed.tracked):
+        part, own = parts[composed.tracks[i][0]], composed.tracks[i][1]
+        there = part.tracked[own]
+        alone = np.zeros((len(part.runs_on), part.width))
+        rows = [(here[n], there[n]) for n in range(3)]  # own, tracker, free
+        for row, of_part in rows:
+            alone[of_part] = z[row]
+        alone, _ = part.step(alone, before, after, np.zeros((3, 0)))
+        assert all((stepped[row] == alone[of_part]).all() for row, of_part in rows)
+        assert here.temporary == there.temporary == (part is parts[2])
+        assert (composed.drift(i, np.ones(1)) == part.drift(own, np.ones(1))).all()
+
+
+def test_nothing_grows_without_end(bench, made):
+    run = Run(bench, made, 60.0, guard={'angle': 1.0}).until(5000)
+    kept = len(run.bank._past)
+    run.until(60_000)
+    assert len(run.bank._past) <= kept + 1
+    assert len(run.bank._told.samples['angle'].stamps) < 6 * kept
+    assert len(run.bank._measured.growth._waiting) < 10

@@ -1,0 +1,227 @@
+"""
+Free runs: what goes on from the last good readings when a channel is lost (method, 8).
+
+While a tracker reads what is believed, its free run rehearses: it begins anew from the tracker's
+state now and then. When something that the tracker reads is lost, the free run is put back to a
+state from before the fault, and goes on from there without the channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+
+from vsensor_ros.bank.angle import ShortWay
+from vsensor_ros.bank.state import State
+from vsensor_ros.observers import Batch
+from vsensor_ros.reason import Reason
+
+AGES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # s at which rehearsals are compared with the channel
+_LONGER = 3  # one rehearsal in so many goes on to the next age
+_BETTER = 0.8  # of the deviation of the run that serves: with less another one takes over
+_INNOVATIONS = 100  # states of a tracker that are looked at, at most
+
+
+class Seed(NamedTuple):
+    """From where a free run goes on."""
+
+    tick: int
+    z: np.ndarray  # (k,)
+    spread: float  # rms of reading - estimate of the tracker before; NaN when not known
+
+
+class FreeRuns:
+    """
+    The T free runs of a batch; ticks are grid indices.
+
+    `rows` (V,): which run serves for each virtual sensor. `why`: by tracked one, why there is no
+    free run though it was lost; None: nothing is to be said.
+    """
+
+    def __init__(self, batch: Batch, period: float, short_way: ShortWay) -> None:
+        """Prepare for a grid of this period [s]; short_way: of residuals (.., O) that wrap."""
+        self.tracked = batch.tracked
+        self._batch, self._period, self._short_way = batch, period, short_way
+        self._trackers = np.array([t.tracker for t in self.tracked], dtype=int)
+        self.free = np.array([t.free for t in self.tracked], dtype=int)
+        warm = np.array([t.warm_up for t in self.tracked], dtype=float)
+        self._warm = np.ceil(np.minimum(warm / period, 1e18))
+        self._cycle, self._begins = _rehearsals(period)
+        self._alone = np.arange(batch.size)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all."""
+        self._seeds: list[Seed | None] = [None] * len(self.tracked)
+        self.why: list[Reason | None] = [None] * len(self.tracked)
+        self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
+        self._fresh: set[int] = set()  # of which no run was chosen yet
+        self._spoilt: set[int] = set()  # by a fault from before the guard
+        self.flying = False  # any
+        self.steady = False  # all rehearse
+        self.rows = self._alone
+
+    def seed(self, i: int) -> Seed | None:
+        """Return from where one goes on; None: it rehearses, or cannot go on."""
+        return self._seeds[i]
+
+    def lost(self, i: int) -> bool:
+        """Tell whether one has lost its tracker, and has not got it back."""
+        return self._seeds[i] is not None or self.why[i] is not None
+
+    def waiting(self, i: int, state: State, guard: float) -> float:
+        """Return the time [s] until its tracker is ready to be lost; inf: it does not run."""
+        row = self._trackers[i]
+        if not state.running[row]:
+            return np.inf
+        return max(0.0, float(self._warm[i] + np.ceil(guard / self._period) + 1
+                              - (state.tick - state.since[row])) * self._period)
+
+    def _good(self, state: State) -> np.ndarray:
+        """Tell whose trackers run and have forgotten their starts (T,)."""
+        return np.asarray(state.running[self._trackers] & (
+            state.tick - state.since[self._trackers] >= self._warm))
+
+    def place(self, state: State) -> State:
+        """Return a state in which those free runs stand anew that begin there."""
+        tick = state.tick
+        rehearse = tick % self._cycle in self._begins
+        if not rehearse and not self.flying:
+            return state
+        new = {i: seed.z for i, seed in enumerate(self._seeds)
+               if seed is not None and seed.tick == tick} if self.flying else {}
+        if rehearse:
+            new.update((i, state.z[self._trackers[i]])
+                       for i in np.flatnonzero(self._good(state)).tolist() if not self.lost(i))
+        if not new:
+            return state
+        rows = self.free[list(new)]
+        z, since, running = state.z.copy(), state.since.copy(), state.running.copy()
+        z[rows], since[rows], running[rows] = list(new.values()), tick, True
+        return state._replace(z=z, since=since, running=running)
+
+    def stopped(self, state: State) -> list[int]:
+        """
+        Note who goes on and whose tracker is back; return who has lost it without being told.
+
+        Of those it says nothing who could not go on for want of other readings.
+        """
+        good = self._good(state)
+        for i in np.flatnonzero(good).tolist():
+            if self.lost(i):
+                self._land(i)
+        gone = np.flatnonzero(self._followed & ~good).tolist()
+        self._followed, self.steady = good, bool(good.all()) and not self.flying
+        lack = self._batch.runs_on[self.free] & ~state.told.there
+        return [i for i in gone if not self.lost(i) and not lack[i].any()]
+
+    def _land(self, i: int) -> None:
+        self._seeds[i] = self.why[i] = None
+        self._spoilt.discard(i)
+        self.flying = any(seed is not None for seed in self._seeds)
+        own = self.tracked[i].own
+        if self.rows[own] != own:
+            self._serve(own, own)
+
+    def serving(self, z: np.ndarray) -> np.ndarray:
+        """Return of the states (R, k) those that serve (V, k)."""
+        return z[:len(self.rows)] if self.rows is self._alone else z[self.rows]
+
+    def choose(self, i: int, alone: float, free: float, proven: bool, agree: bool) -> bool:
+        """
+        Let that run serve whose deviation is the smaller; tell whether it is another one.
+
+        No fault of the channel has reached the independent run. If that has proven good beside
+        the channel, the free one must be clearly surer at the loss, too; and where the two do not
+        agree the fault is in the free one, which does not serve any more.
+        """
+        better = 1.0 if i in self._fresh and not proven else _BETTER
+        self._fresh.discard(i)
+        if proven and not agree:
+            self._spoilt.add(i)
+        own, row = self.tracked[i].own, self.tracked[i].free
+        if i in self._spoilt:
+            new = own
+        elif self.rows[own] == own:
+            new = row if free <= better * alone else own
+        else:
+            new = own if alone < better * free else row
+        if new == self.rows[own]:
+            return False
+        self._serve(own, new)
+        return True
+
+    def _serve(self, own: int, row: int) -> None:
+        rows = self.rows.copy()
+        rows[own] = row
+        self.rows = rows if (rows != self._alone).any() else self._alone
+
+    def goes_on(self, i: int, tick: int) -> bool:
+        """Tell whether one goes on already from a state that is no later than a tick."""
+        seed = self._seeds[i]
+        return seed is not None and seed.tick <= tick
+
+    def lose(self, i: int, tick: int, past: Sequence[State]) -> int | None:
+        """
+        Let one go on from the state at a tick, which is from before the fault.
+
+        Return that tick, where it must be put; None: it cannot go on, see `why`.
+        """
+        followed = bool(self._followed[i])
+        self._land(i)
+        self._followed[i] = self.steady = False
+        first, last = past[0].tick, past[-1].tick
+        tick = min(tick, last)
+        if tick < first and followed:
+            self.why[i] = Reason.of('tracked too long ago', seconds=(last - tick) * self._period,
+                                    kept=(last - first) * self._period)
+            return None
+        state = past[max(tick - first, 0)]
+        if tick < first or not self._good(state)[i]:
+            self.why[i] = Reason.of('not tracked yet')
+            return None
+        row = self._trackers[i]
+        self._seeds[i] = Seed(tick, state.z[row].copy(), self._spread(i, tick, past))
+        self._fresh.add(i)
+        self.flying, self.steady = True, False
+        return tick
+
+    def drop(self, i: int) -> None:
+        """Let one end that has read what is lost."""
+        self._land(i)
+        self._followed[i] = self.steady = False
+
+    def _spread(self, i: int, tick: int, past: Sequence[State]) -> float:
+        """Return the rms of the innovations of a tracker up to a tick; NaN when there is none."""
+        own, row = self.tracked[i].own, self._trackers[i]
+        output = int(np.flatnonzero(self._batch.of == own)[0])
+        sensor = self._batch.own[output]
+        end = tick - past[0].tick + 1
+        states = [past[at] for at in range(max(0, end - _INNOVATIONS), end)]
+        states = [s for s in states if s.running[row] and s.told.there[sensor]]
+        if sensor < 0 or not states:
+            return np.nan
+        rows = self._alone.copy()
+        rows[own] = row
+        said = np.array([s.told.y for s in states])
+        off = said[:, [sensor]] - self._batch.estimates(
+            np.array([s.z[rows] for s in states]), said,
+            np.array([s.told.held for s in states]))[:, [output]]
+        off = self._short_way.of([output])(off)
+        return float(np.sqrt(np.mean(off**2)))
+
+
+def _rehearsals(period: float) -> tuple[int, frozenset[int]]:
+    """Return after how many steps the rehearsals repeat, and at which of them one begins."""
+    flights = [max(1, round(age / period)) + 1 for age in AGES if age >= 1.0]
+    lengths = []
+    for n in range(1, _LONGER**(len(flights) - 1) + 1):
+        longer = 0
+        while longer < len(flights) - 1 and n % _LONGER**(longer + 1) == 0:
+            longer += 1
+        lengths.append(flights[longer])
+    begins = [0, *accumulate(lengths)]
+    return begins[-1], frozenset(begins[:-1])
