@@ -43,7 +43,7 @@ def start(context: CaseContext) -> None:
     context.fresh = True
     context.expect_path(target, *path, 'real', switches=3 if switches == 2 else None)
     # the next case needs a reserve, which may have served only from the last good readings
-    context.until(lambda: context.machine.latest[target].get('reserve') == 'ready', CONVERGED,
+    context.until(lambda: context.machine.latest[target].get('reserve') != 'not ready', CONVERGED,
                   f'a reserve for {target}')
 
 
