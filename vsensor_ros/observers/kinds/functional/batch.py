@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.batch import Batch, Bent, Told, Tracked
+from vsensor_ros.observers.kinds.batch import Batch, Bent, StepOfSome, Told, Tracked
 from vsensor_ros.observers.kinds.functional.convergence import (
     converge,
     Convergence,
@@ -17,7 +17,7 @@ from vsensor_ros.observers.kinds.functional.convergence import (
     Region,
     region_of,
 )
-from vsensor_ros.observers.kinds.functional.step import make_step, pad, Step, widen
+from vsensor_ros.observers.kinds.functional.step import make_step, pad, Step, step_of, widen
 from vsensor_ros.observers.kinds.functional.tracking import deviation_after, tracker
 from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 from vsensor_ros.reason import Reason
@@ -55,10 +55,22 @@ class FunctionalBatch(Batch):
         assert self.fused is not None
         return self.fused(z, before.y, after.y, *commands, before.held, after.held)
 
+    def step_of(self, rows: np.ndarray) -> StepOfSome:
+        """Take their slices of all matrices."""
+        assert self.fused is not None
+        fused = step_of(self.fused, rows)
+        return lambda z, before, after, commands: fused(
+            z, before.y, after.y, *commands, before.held, after.held)
+
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return vhat (.., V) for states (.., V, k), readings (.., L), commands (.., m)."""
         found = (self.Cv * z).sum(axis=-1) + y @ self.Q.T
         return found if self.Qu is None else found + held @ self.Qu.T
+
+    def estimate(self, output: int, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return vhat (..) of one."""
+        found = (self.Cv[output] * z).sum(axis=-1) + y @ self.Q[output]
+        return np.asarray(found if self.Qu is None else found + held @ self.Qu[output])
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether an argument of a virtual sensor is where nothing is proved of it."""
@@ -156,19 +168,17 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
         sample_time=design.sample_time or 0.0,
         convergence=convergence,
         drifts=np.array([deviation_after(kept[t.own], _AFTER) for t in tracked]),
-        bends=tuple(_bent(kept[t.own], k, period) for t in tracked),
+        bends=tuple(_bent(kept[t.own], period) for t in tracked),
         drifting=tuple(temporary.get(i, -1) for i in range(len(kept))),
         regions=regions)
 
 
-def _bent(v: VirtualSensor, k: int, period: float) -> Bent | None:
+def _bent(v: VirtualSensor, period: float) -> Bent | None:
     if not v.active:
         return None
     assert v.tracking is not None
     step = period if v.sample_time is None else 1.0
-    wide = (0, k - v.order)
-    return Bent(np.pad(v.tracking.P, (wide, wide)), np.pad(step * v.tracking.W, (wide, wide)),
-                np.pad(v.Cv[0], wide), v.tracking.direct)
+    return Bent(v.tracking.P, step * v.tracking.W, v.Cv[0], v.tracking.direct)
 
 
 def _helpers(kept: Sequence[VirtualSensor], sensors: tuple[str, ...],
