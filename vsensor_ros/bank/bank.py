@@ -18,6 +18,7 @@ from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
 
+_FEW = 4  # outputs, of which unseen motion is worked out one by one
 INDEPENDENT, FREE = '', 'from the last good readings'  # runs
 
 
@@ -83,7 +84,8 @@ class Bank(Steps):
         if not math.isfinite(value):
             return None
         deviation = self._deviation(output, row) if before is self._past[-1] else \
-            self._serving.deviation(output, row, before, self._unseen_at(before))
+            self._serving.deviation(output, row, before, float(
+                self._unseen_at(before, output)[0]))
         return value, deviation, self._batch.interval(
             output, self._runs.serving(before.z), before.told, self._age(output, before))
 
@@ -149,7 +151,7 @@ class Bank(Steps):
             return math.inf
         if self._serving.is_free(output) and self._runs.lost(i):
             age = self._age(output) if self._serving.flies(i, self._past) else math.inf
-            unseen = float(self._unseen_now()[output])
+            unseen = self._unseen_now(output)
         elif self._batch.tracked[i].temporary:
             age, unseen = self._serving.guards[i], 0.0
         else:
@@ -328,19 +330,25 @@ class Bank(Steps):
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
-    def _unseen_at(self, state: State) -> np.ndarray:
-        return self._measured.unseen(state.tick, self._told.ages_at(self._at(state.tick)))
+    def _unseen_at(self, state: State, output: int | None = None) -> np.ndarray:
+        """Return what readings may have moved by then since their last: of one output, or (O,)."""
+        ages = self._told.ages_at(self._at(state.tick))
+        return self._measured.unseen(state.tick, ages, output)
 
-    def _unseen_now(self) -> np.ndarray:
-        if self._unseen is None:
-            self._unseen = self._unseen_at(self._past[-1])
-        return self._unseen
+    def _unseen_now(self, output: int) -> float:
+        """Return that of an output now."""
+        if self._unseen is None and output not in self._unseen_of:
+            if len(self._unseen_of) < _FEW:
+                self._unseen_of[output] = float(self._unseen_at(self._past[-1], output)[0])
+            else:
+                self._unseen = self._unseen_at(self._past[-1])
+        return float(self._unseen_of[output] if self._unseen is None else self._unseen[output])
 
     def _deviation(self, output: int, row: int) -> float:
         """Return the deviation of what an output says now of one of its runs."""
         if (output, row) not in self._deviations:
             self._deviations[output, row] = self._serving.deviation(
-                output, row, self._past[-1], self._unseen_now())
+                output, row, self._past[-1], self._unseen_now(output))
         return self._deviations[output, row]
 
     def _widening(self, output: int) -> float:

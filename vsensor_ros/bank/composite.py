@@ -178,7 +178,11 @@ class Composite(Batch):
         part, rows, _, k = self.parts[i]
         return part, own, z[rows, :k]
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True,
+              output: int | None = None) -> np.ndarray:
         """Ask each kind."""
+        if output is not None:
+            i, own = self.outputs[output]
+            return self.parts[i][0].reach(slopes, ages, direct, own)
         return np.concatenate([np.zeros(0), *(
             part.reach(slopes, ages, direct) for part, _, _, _ in self.parts)])

@@ -17,7 +17,7 @@ from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import Inputs, LARGEST
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
-from vsensor_ros.observers import Batch, StepOfSome
+from vsensor_ros.observers import Batch
 
 AT_ONCE = 200  # steps that flights are brought nearer to now between two ticks, at least
 
@@ -41,7 +41,6 @@ class Flights:
         """Forget all."""
         self._behind: tuple[int, ...] = ()  # who is not known by now yet
         self._tick = 0  # but by then
-        self._stepped: tuple[tuple[int, ...], StepOfSome] | None = None
 
     def behind(self, i: int) -> bool:
         """Tell whether a flight has not been brought to now yet."""
@@ -125,14 +124,11 @@ class Flights:
 
     def _next(self, flights: tuple[int, ...], before: State, after: State) -> State:
         """Return a state in which these have been stepped to it from the one before."""
-        if self._stepped is None or self._stepped[0] != flights:
-            self._stepped = flights, self._batch.step_of(self._runs.free[list(flights)])
         rows, told = self._runs.free[list(flights)], after.told
         commands = self._told.over(self._time_of(before.tick), self._time_of(after.tick))
-        ended, outside = self._stepped[1](before.z[rows], before.told, told, commands)
+        ended, outside, spread = self._spreads.step(
+            flights, True, before, told, commands, after.spread)
         z, running, since = after.z.copy(), after.running.copy(), after.since.copy()
-        z[rows] = ended
-        spread = self._spreads.step(flights, before, z, told, commands, after.spread)
         alive = before.running[rows] & ~(self._batch.runs_on[rows] & ~told.there).any(axis=1)
         finite = (np.abs(ended) < LARGEST).all(axis=1)
         running[rows], since[rows] = alive & finite, before.since[rows]

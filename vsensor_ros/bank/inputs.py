@@ -42,7 +42,7 @@ class Inputs:
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
-        self._there = self.everything  # the last that was not everything
+        self._there: np.ndarray = self.everything  # the last that was not everything
         self.distrusted: frozenset[str] = frozenset()
         self._wrap = wrap
         self.angles = {name: Angle(abs(turn)) for turns in wrap for name, turn in turns.items()}

@@ -67,19 +67,19 @@ class Serving:
             return math.inf
         return self._runs.waiting(i, past[-1], self.guards[i])
 
-    def deviation(self, output: int, row: int, state: State, unseen: np.ndarray) -> float:
-        """Return the deviation of what an output says of one of its runs."""
+    def deviation(self, output: int, row: int, state: State, unseen: float) -> float:
+        """Return the deviation of what an output says of one of its runs; unseen: a part of it."""
         age = float(state.tick - state.since[row]) * self._period
         i, wider = self.tracked.get(output), self._widening(output)
         if i is not None and row == self._batch.tracked[i].free:
             # what the model errs more now reaches it in time as much as the independent run
             more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
                 math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen[output], more, wider * max(
+            found = math.hypot(unseen, more, wider * max(
                 self._measured.growth.stated(i, age), self._spreads.deviation(i, state)))
         else:
             found = math.hypot(
-                wider * self._measured.base[output], unseen[output], self._batch.deviation(
+                wider * self._measured.base[output], unseen, self._batch.deviation(
                     output, state.z[:self._batch.size], state.told, age))
         return math.inf if math.isnan(found) else found
 

@@ -9,7 +9,6 @@ friction counts as it holds, not with a slope.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
@@ -19,15 +18,20 @@ from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, StepOfSome, Told
 
 LARGEST = 1e100  # beyond it nothing is known
+# runs at most with which states beside some of them are stepped in one call: it costs more than
+# its numbers. The matrices of more are dear to copy
+TOGETHER = 300
 
 
-class _Beside(NamedTuple):
-    """How the states beside some free runs are stepped, K beside each of n."""
+class _Along(NamedTuple):
+    """How some runs are stepped, and beside them the states that tell n spreads."""
 
-    at: list[int]  # n, where their spreads stand
-    rows: np.ndarray  # (n,)
-    beside: int  # K, the largest order of them
-    step: StepOfSome  # of n K states
+    at: list[int]  # n, where the spreads stand
+    rows: np.ndarray  # (n,) of their runs
+    own: list[int]  # n, where these are among the runs that are stepped
+    beside: int  # K, the largest order of them: so many states are beside each
+    step: StepOfSome  # of all runs to be stepped, and as many of n K states as it takes
+    apart: StepOfSome | None  # of the n K states, if that does not; None: it does
 
 
 class Spreads:
@@ -37,7 +41,7 @@ class Spreads:
         """Prepare; some have none, for `drift` tells all of them."""
         bends = {i: b for i in range(len(free)) if (b := batch.bent(i)) is not None}
         n, k = len(bends), batch.width
-        self._batch, self._rows = batch, free[list(bends)]
+        self._batch, self._free, self._rows = batch, free, free[list(bends)]
         self._at = {i: at for at, i in enumerate(bends)}
         self._orders = [len(b.row) for b in bends.values()]
         self._start, self._growth = np.zeros((n, k, k)), np.zeros((n, k, k))
@@ -47,7 +51,9 @@ class Spreads:
             self._growth[at, :order, :order] = b.growth
             self._row[at, :order] = b.row
         self._direct = [b.direct for b in bends.values()]
-        self._prepared: dict[tuple[int, ...], _Beside | None] = {}  # by who flies, the last two
+        self._all = np.arange(len(batch.runs_on))
+        # by who flies, and whether nobody else is stepped: the last two
+        self._prepared: dict[tuple[tuple[int, ...], bool], _Along] = {}
 
     def begin(self, state: State) -> State:
         """Return a state in which the spreads begin of those free runs that stand anew there."""
@@ -57,46 +63,60 @@ class Spreads:
         old = self._start if state.spread is None else state.spread
         return state._replace(spread=np.where(new[:, None, None], self._start, old))
 
-    def step(self, flights: tuple[int, ...], state: State, ended: np.ndarray, told: Told,
-             commands: np.ndarray, others: np.ndarray | None = None) -> np.ndarray | None:
+    def step(self, flights: tuple[int, ...], alone: bool, state: State, told: Told,
+             commands: np.ndarray, others: np.ndarray | None = None,
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """
-        Return the spreads a step after a state; ended (R, k): where the runs come to by then.
+        Step all runs, or alone those of the T that fly, and the spreads of these.
 
-        flights: which of the T fly. others: the spreads of those that do not. None: no flight has
-        one.
+        others: spreads of those that do not fly. Return the states (n, k), who saw an argument
+        outside of a function's domain (n,), and the spreads; None: nobody has one.
         """
-        who = self._beside(flights)
-        if who is None:
-            return others
-        old = (self._start if state.spread is None else state.spread)[who.at]
-        values, vectors = np.linalg.eigh(np.where(np.isfinite(old), old, 0.0))
+        way = self._along(flights, alone)
+        z = state.z[self._free[list(flights)]] if alone else state.z
+        if not way.at:
+            return *way.step(z, state.told, told, commands), others
+        old = (self._start if state.spread is None else state.spread)[way.at]
+        known = bool(np.isfinite(old).all())
+        values, vectors = np.linalg.eigh(old if known else np.where(np.isfinite(old), old, 0.0))
         # (n, k, K), by column; what is left out is 0: states beyond the orders
-        roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -who.beside:]
+        roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -way.beside:]
         n, k, K = roots.shape
-        beside = state.z[who.rows][:, None, :] + roots.transpose(0, 2, 1)
-        off = who.step(beside.reshape(n * K, k), state.told, told, commands)[0].reshape(
-            n, K, k) - ended[who.rows][:, None, :]
-        found = off.transpose(0, 2, 1) @ off + self._growth[who.at]
-        lost = ~(np.abs(found) < LARGEST).all(axis=(1, 2)) | ~np.isfinite(old).all(axis=(1, 2))
-        found[lost] = np.inf
+        beside = (state.z[way.rows][:, None, :] + roots.transpose(0, 2, 1)).reshape(n * K, k)
+        if way.apart is None:
+            ended, outside = way.step(np.concatenate((z, beside)), state.told, told, commands)
+            ended, beside, outside = ended[:len(z)], ended[len(z):], outside[:len(z)]
+        else:
+            ended, outside = way.step(z, state.told, told, commands)
+            beside = way.apart(beside, state.told, told, commands)[0]
+        off = beside.reshape(n, K, k) - ended[way.own][:, None, :]
+        found = off.transpose(0, 2, 1) @ off + self._growth[way.at]
+        if not (known and (np.abs(found) < LARGEST).all()):
+            found[~((np.abs(found) < LARGEST) & np.isfinite(old)).all(axis=(1, 2))] = np.inf
         spread = (self._start if others is None else others).copy()
-        spread[who.at] = found
-        return spread
+        spread[way.at] = found
+        return ended, outside, spread
 
-    def _beside(self, flights: tuple[int, ...]) -> _Beside | None:
-        if flights not in self._prepared:
+    def _along(self, flights: tuple[int, ...], alone: bool) -> _Along:
+        if (flights, alone) not in self._prepared:
             while len(self._prepared) > 1:
                 del self._prepared[next(iter(self._prepared))]
-            self._prepared[flights] = self._prepare(flights)
-        return self._prepared[flights]
+            self._prepared[flights, alone] = self._prepare(flights, alone)
+        return self._prepared[flights, alone]
 
-    def _prepare(self, flights: Sequence[int]) -> _Beside | None:
+    def _prepare(self, flights: tuple[int, ...], alone: bool) -> _Along:
         at = [self._at[i] for i in flights if i in self._at]
         most = max((self._orders[a] for a in at), default=0)
         if not most:
-            return None
-        rows = self._rows[at]
-        return _Beside(at, rows, most, self._batch.step_of(np.repeat(rows, most)))
+            at = []
+        rows, stepped = self._rows[at], self._free[list(flights)] if alone else self._all
+        own = [int(np.flatnonzero(stepped == row)[0]) for row in rows]
+        beside = np.repeat(rows, most)
+        if at and len(stepped) <= TOGETHER:
+            return _Along(at, rows, own, most, self._batch.step_of(
+                np.concatenate((stepped, beside))), None)
+        return _Along(at, rows, own, most, self._batch.step_of(stepped) if alone else
+                      self._batch.step, self._batch.step_of(beside) if at else None)
 
     def deviation(self, i: int, state: State) -> float:
         """Return the standard deviation of what a free run says; 0: it has no spread."""

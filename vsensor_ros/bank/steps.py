@@ -131,7 +131,8 @@ class Steps:
     def _change(self) -> None:
         """Forget what was worked out of the last state."""
         self._estimates: np.ndarray | None = None  # (O,) now, once they were asked for
-        self._unseen: np.ndarray | None = None  # (O,) now, likewise
+        self._unseen: np.ndarray | None = None  # (O,) now, once many were asked for
+        self._unseen_of: dict[int, float] = {}  # now, of the few that were, by output
         self._deviations: dict[tuple[int, int], float] = {}  # now, by output and run, likewise
 
     @property
@@ -339,9 +340,11 @@ class Steps:
         told, broken, spread = self._told.at(self._at(tick)), None, None
         if self._step is not None and (running is self._everyone or running.any()):
             commands = self._told.over(self._at(state.tick), self._at(tick))
-            z, out = self._step(z, state.told, told, commands)
             if self._runs.flights:
-                spread = self._spreads.step(self._runs.flights, state, z, told, commands)
+                z, out, spread = self._spreads.step(
+                    self._runs.flights, False, state, told, commands)
+            else:
+                z, out = self._step(z, state.told, told, commands)
             if out.any():
                 outside = outside + (out & running)
             alive = running

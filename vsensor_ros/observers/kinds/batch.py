@@ -142,11 +142,12 @@ class Batch(ABC):
         """Return between what bounds the truth is for certain; None: there are none."""
         return None
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True,
+              output: int | None = None) -> np.ndarray:
         """
-        Return how far outputs (O,) may be off, one standard deviation.
+        Return how far outputs (O,), or one (1,), may be off, one standard deviation.
 
         That is when readings have moved at these slopes (L,) [1/s], unseen for these ages (L,)
         [s]; direct: they are still held, and not only felt in the states.
         """
-        return np.zeros(len(self.keys))
+        return np.zeros(len(self.keys) if output is None else 1)
