@@ -17,7 +17,7 @@ from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import Inputs, LARGEST
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
-from vsensor_ros.observers import Batch
+from vsensor_ros.observers import Batch, Told
 
 AT_ONCE = 200  # steps that flights are brought nearer to now between two ticks, at least
 
@@ -47,11 +47,12 @@ class Flights:
         return i in self._behind
 
     def lose(self, past: deque[State], lost: Collection[str], gone: np.ndarray, now: int,
-             onsets: Mapping[str, int]) -> None:
+             onsets: Mapping[str, int]) -> np.ndarray:
         """
         Let those take off whose trackers read what is lost, (L + m,) bool, and end who read it.
 
-        now: the time, and onsets of those lost that began before it. Then `catch_up`.
+        now: the time, and onsets of those lost that began before it. Return who goes on as before
+        (R,): `stop` all others, then `catch_up`.
         """
         reads = self._batch.starts_on
         moved = []
@@ -64,12 +65,14 @@ class Flights:
                 tick = self._clean(i, began)
                 if not self._runs.goes_on(i, tick):
                     moved.append((i, tick))
-        self._take_off(moved, past)
+        return self._take_off(moved, past) & ~reads[:, gone].any(axis=1)
 
     def follow(self, past: deque[State]) -> None:
         """Let those take off whose trackers have stopped: their channels are silent."""
         now = self._time_of(past[-1].tick)
-        self._take_off([(i, self._clean(i, now)) for i in self._runs.stopped(past[-1])], past)
+        gone = self._runs.stopped(past[-1])
+        if gone:
+            stop(past, self._take_off([(i, self._clean(i, now)) for i in gone], past))
 
     def _clean(self, i: int, time: int) -> int:
         """Return the last tick of a tracker that a fault does not reach: see `distrust`."""
@@ -83,18 +86,16 @@ class Flights:
         zero, period = self._time_of(0), self._time_of(1) - self._time_of(0)
         return (found - zero) // period
 
-    def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> None:
-        """Begin flights (which, at which tick), so that they are behind; all they were is over."""
-        if not moved:
-            return
+    def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> np.ndarray:
+        """Begin flights (which, at which tick), so that they are behind; return all others (R,)."""
         begun = {i: tick for i, at in moved if (tick := self._runs.lose(i, at, past)) is not None}
-        stay = np.ones(len(self._batch.runs_on), dtype=bool)
-        stay[self._runs.free[[i for i, _ in moved]]] = False
-        stop(past, stay)
         if begun:
             first = min(begun.values())
             self._tick = min(first, self._tick) if self._behind else first
             self._behind = tuple(sorted({*self._behind, *begun}))
+        stay = np.ones(len(self._batch.runs_on), dtype=bool)
+        stay[self._runs.free[[i for i, _ in moved]]] = False
+        return stay
 
     def taken_back(self, tick: int) -> None:
         """Note that all states after a tick were dropped, and will be stepped with all runs."""
@@ -142,15 +143,14 @@ class Flights:
 def stop(states: deque[State] | list[State], stay: np.ndarray,
          there: np.ndarray | None = None) -> None:
     """Stop all runs in states but some (R,) bool, and let them have read only what is `there`."""
-    # many states share their arrays
-    stopped: dict[int, np.ndarray] = {}
+    # there may be thousands, and most share their arrays
+    running: dict[int, np.ndarray] = {}
     read: dict[int, np.ndarray] = {}
-    for at, state in enumerate(states):
-        running, told = state.running, state.told
-        if id(running) not in stopped:
-            stopped[id(running)] = running & stay
+    for at, (tick, z, runs, since, restarts, outside, told, spread) in enumerate(states):
+        if id(runs) not in running:
+            running[id(runs)] = runs & stay
         if there is not None:
             if id(told.there) not in read:
                 read[id(told.there)] = told.there & there
-            told = told._replace(there=read[id(told.there)])
-        states[at] = state._replace(running=stopped[id(running)], told=told)
+            told = Told(told.y, read[id(told.there)], told.held)
+        states[at] = State(tick, z, running[id(runs)], since, restarts, outside, told, spread)

@@ -198,16 +198,16 @@ class Steps:
         gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
         if lost and self._past:
             found = self._at(self._past[-1].tick) if now is None else now
-            self._flights.lose(self._past, lost, gone, found, onsets)
+            stay = self._flights.lose(self._past, lost, gone, found, onsets)
         if self._now is not None:  # it may be trusted at any time before the next step
             now = max(self._now, now or self._now) + self.period - 1
         self._told.distrust(names, now)
         if lost:
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
             self._measured.forget(gone[:len(self.sensors)], stopped)
-            for states in (self._settled, self._past):
-                stop(states, ~stopped, ~gone)
+            stop(self._settled, ~stopped, ~gone)
             if self._past:
+                stop(self._past, stay, ~gone)
                 self._flights.catch_up(self._past, AT_ONCE)
             self._change()
         self._measured.all_trusted = not names
