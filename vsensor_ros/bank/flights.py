@@ -87,7 +87,7 @@ class Flights:
         return (found - zero) // period
 
     def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> np.ndarray:
-        """Begin flights (which, at which tick), so that they are behind; return all others (R,)."""
+        """Begin flights (which, at which tick), so that they are behind; return all else (R,)."""
         begun = {i: tick for i, at in moved if (tick := self._runs.lose(i, at, past)) is not None}
         if begun:
             first = min(begun.values())
