@@ -111,27 +111,26 @@ class Spreads:
     def _prepare(self, flights: tuple[int, ...], alone: bool) -> _Along:
         at = [self._at[i] for i in flights if i in self._at]
         most = max((self._orders[a] for a in at), default=0)
-        stepped = self._free[list(flights)] if alone else self._all
-        step = self._batch.step_of(stepped) if alone else self._batch.step
+        stepped, step_of = self._free[list(flights)] if alone else self._all, self._batch.step_of
+        rows, together = self._rows[at], len(stepped) <= TOGETHER
+        beside = np.repeat(rows, most)
+        step = step_of(np.concatenate((stepped, beside))) if most and together else \
+            step_of(stepped) if alone else self._batch.step
         if not most:
             return _Along(None, None, None, 0, step, None)
-        rows = self._rows[at]
-        beside = np.repeat(rows, most)
-        where = (_where(at), _where(rows), _where(
-            [int(np.flatnonzero(stepped == row)[0]) for row in rows]))
-        if len(stepped) > TOGETHER:
-            return _Along(*where, most, step, self._batch.step_of(beside))
-        return _Along(*where, most, self._batch.step_of(np.concatenate((stepped, beside))), None)
+        own = [int(np.flatnonzero(stepped == row)[0]) for row in rows]
+        return _Along(_where(at), _where(rows), _where(own), most, step,
+                      None if together else step_of(beside))
 
     def deviation(self, i: int, state: State) -> float:
         """Return the standard deviation of what a free run says; 0: it has no spread."""
         at = self._at.get(i)
         if at is None or state.spread is None:
             return 0.0
-        row = self._row[at]
-        variance = float(row @ state.spread[at] @ row)
-        return math.sqrt(max(0.0, variance) + self._direct[at]) \
-            if math.isfinite(variance) else math.inf
+        spread, row = state.spread[at], self._row[at]
+        if not math.isfinite(spread[0, 0]):  # nor is anything of it
+            return math.inf
+        return math.sqrt(max(0.0, float(row @ spread @ row)) + self._direct[at])
 
 
 def _where(indices: Sequence[int] | np.ndarray) -> slice | np.ndarray:
