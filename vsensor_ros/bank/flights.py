@@ -19,7 +19,7 @@ from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, Told
 
-AT_ONCE = 200  # steps that flights are brought nearer to now between two ticks, at least
+AT_ONCE = 120  # steps that flights are brought nearer to now between two ticks, at least
 
 
 class Flights:
