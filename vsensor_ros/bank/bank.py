@@ -18,7 +18,7 @@ from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
 
-_FEW = 4  # outputs, of which unseen motion is worked out one by one
+_FEW = 2  # outputs, of which unseen motion is worked out one by one
 INDEPENDENT, FREE = '', 'from the last good readings'  # runs
 
 
@@ -186,6 +186,11 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
+        if output not in self._stated:
+            self._stated[output] = self._state_deviation(output)
+        return self._stated[output]
+
+    def _state_deviation(self, output: int) -> float:
         row = self._serving.row(output)
         served = self._deviation(output, row) if self._past[-1].running[row] else math.inf
         i = self._serving.tracked.get(output)
@@ -420,7 +425,7 @@ class Bank(Steps):
     def _choose(self) -> None:
         if self._runs.flights and self._past and \
                 self._serving.choose(self._past[-1], self._deviation):
-            self._estimates = None
+            self._estimates, self._stated = None, {}
 
     def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
         """Return the standard deviation of a reading (tick, value) - what a free run says."""

@@ -20,6 +20,7 @@ from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch
 
+AT_A_TICK = 4  # flights of which it is looked at a tick who serves, but for new ones
 OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
 
 
@@ -90,9 +91,14 @@ class Serving:
         deviation: that of an output of a run, at this state.
         """
         changed = False
-        for i in self._runs.flights:
-            if not self._batch.tracked[i].temporary:
-                for output in self._outputs[i]:
+        turns = -(-len(self._runs.flights) // AT_A_TICK)
+        for at, i in enumerate(self._runs.flights):
+            if self._batch.tracked[i].temporary:
+                continue
+            for output in self._outputs[i]:
+                # of many some at a time: they grow slowly. But who is new, or has stopped, at once
+                if (at + state.tick) % turns == 0 or self._runs.is_fresh(i) or \
+                        not state.running[self.row(output)]:
                     changed |= self._choose(i, output, state, deviation)
         return changed
 

@@ -134,6 +134,7 @@ class Steps:
         self._unseen: np.ndarray | None = None  # (O,) now, once many were asked for
         self._unseen_of: dict[int, float] = {}  # now, of the few that were, by output
         self._deviations: dict[tuple[int, int], float] = {}  # now, by output and run, likewise
+        self._stated: dict[int, float] = {}  # now, by output, likewise
 
     @property
     def time(self) -> int | None:
