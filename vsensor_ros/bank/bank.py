@@ -8,13 +8,12 @@ from itertools import islice
 import math
 from types import MappingProxyType
 
-import numpy as np
-
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.deviations import Deviations
+from vsensor_ros.bank.estimates import Estimates
 from vsensor_ros.bank.record import Rehearsal
-from vsensor_ros.bank.serving import OUT_OF_LINE, Serving
-from vsensor_ros.bank.state import stacked, State
+from vsensor_ros.bank.serving import Serving
+from vsensor_ros.bank.state import stacked
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
@@ -48,8 +47,8 @@ class Bank(Steps):
         self._deviations = Deviations(
             self._batch, self._runs, self._spreads, self._measured, self._past,
             self.period * 1e-9, lambda tick: self._told.ages_at(self._at(tick)), self._widening)
-        # of which state and serving runs it is known what they say (O,)
-        self._known: tuple[State, np.ndarray, np.ndarray] | None = None
+        self._estimates = Estimates(self._batch, self._runs, self._serving, self._measured,
+                                    self._past, self.period * 1e-9, self.angles)
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -60,7 +59,7 @@ class Bank(Steps):
         output = self._running(fault_set, channel)
         if output is None:
             return None
-        value = float(self._estimates_now()[output])
+        value = float(self._estimates.at(self._past[-1])[output])
         return value if math.isfinite(value) else None
 
     def recall(self, fault_set: Iterable[str], channel: str, time: int,
@@ -80,10 +79,10 @@ class Bank(Steps):
         row = self._serving.row(output)
         if not (before.running[row] and after.running[row]):
             return None
-        there = float(self._estimates_at(before)[output])
+        there = float(self._estimates.at(before)[output])
         value = there
         if rest and after is not before:
-            value += rest / self.period * (float(self._estimates_at(after)[output]) - there)
+            value += rest / self.period * (float(self._estimates.at(after)[output]) - there)
         if not math.isfinite(value):
             return None
         return value, self._deviations.of_run_at(output, row, before), self._batch.interval(
@@ -232,7 +231,7 @@ class Bank(Steps):
         """
         output = self._output.get((frozenset(fault_set), channel))
         return None if output is None or channel not in self.sensors else \
-            self._residual(output, self._at_grid_time(channel, self._told.said(channel)))
+            self._estimates.residual(output, self._at_grid_time(channel, self._told.said(channel)))
 
     def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -249,17 +248,7 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        if self._serving.is_free(output):
-            centre, spread = 0.0, self._spread_of_free(output, last)
-        else:
-            record = self._measured.record
-            centre = float(record.centre[output])
-            spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
-        known = not math.isnan(centre)
-        value = self._residual(output, last)
-        if value is not None and abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
-            return value
-        return centre if known else None
+        return self._estimates.disagreement(output, last)
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
@@ -347,31 +336,6 @@ class Bank(Steps):
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
                                    self._serving.age(output))
 
-    def _estimates_now(self) -> np.ndarray:
-        state, rows, known = self._past[-1], self._runs.rows, self._known
-        if known is None or known[0] is not state or known[1] is not rows:
-            known = self._known = state, rows, self._estimates_at(state)
-        return known[2]
-
-    def _estimates_at(self, state: State) -> np.ndarray:
-        with np.errstate(all='ignore'):
-            return self._batch.estimates(self._runs.serving(state.z), state.told.y,
-                                         state.told.held)
-
-    def _residual(self, output: int, reading: tuple[int, float] | None) -> float | None:
-        """Return reading (tick, value) - estimate then; None when that is not known any more."""
-        if reading is None or not self._past or not \
-                self._past[0].tick <= reading[0] <= self._past[-1].tick:
-            return None
-        state = self._past[reading[0] - self._past[0].tick]
-        if not state.running[self._serving.row(output)]:
-            return None
-        value = float(reading[1] - self._estimates_at(state)[output])
-        if not math.isfinite(value):
-            return None
-        angle = self.angles.get(self._batch.keys[output][1])
-        return value if angle is None else angle.shortest(value)
-
     # ------------------------------------------------------------------------ which run serves
 
     def advance(self, now: int) -> None:
@@ -384,12 +348,3 @@ class Bank(Steps):
         """Take these sensors as not to be read, see `Steps`; then choose who serves."""
         super().distrust(names, now, onsets)
         self._serving.choose(self._deviations)
-
-    def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
-        """Return the standard deviation of a reading (tick, value) - what a free run says."""
-        seed = self._runs.seed(self._serving.tracked[output])
-        if seed is None or reading is None:
-            return math.nan
-        age = max(0.0, (reading[0] - seed.tick) * self.period * 1e-9)
-        return math.hypot(seed.spread, self._measured.growth.stated(
-            self._serving.tracked[output], age))

@@ -45,6 +45,7 @@ class Flights:
         """Forget all."""
         self._behind: tuple[int, ...] = ()  # who is not known by now yet
         self._tick = 0  # but by then
+        self._at_once = False  # they must be, whatever that costs
 
     def behind(self, i: int) -> bool:
         """Tell whether a flight has not been brought to now yet."""
@@ -94,6 +95,9 @@ class Flights:
 
     def _take_off(self, moved: Collection[tuple[int, int]]) -> np.ndarray:
         """Begin flights (which, at which tick), so that they are behind; return all else (R,)."""
+        # who serves already must not stop
+        self._at_once = self._at_once or any(
+            self._runs.seed(i) is not None and i not in self._behind for i, _ in moved)
         begun = {i: tick for i, at in moved
                  if (tick := self._runs.lose(i, at, self._past)) is not None}
         if begun:
@@ -110,14 +114,15 @@ class Flights:
             self._behind = ()
 
     def catch_up(self, most: int) -> None:
-        """Bring those that are behind nearer to now, by so many steps at most."""
+        """Bring those that are behind nearer to now, by so many steps at most, mostly."""
         past = self._past
         behind = tuple(i for i in self._behind if self._runs.seed(i) is not None)
         self._behind = behind
         if not behind:
             return
         at = self._tick - past[0].tick
-        end = min(at + most, len(past) - 1)
+        end = len(past) - 1 if self._at_once else min(at + most, len(past) - 1)
+        self._at_once = False
         past[at] = self._placed(past[at])
         with np.errstate(all='ignore'):
             while at < end:
