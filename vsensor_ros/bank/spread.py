@@ -2,9 +2,10 @@
 The covariances of free runs along their way, where nonlinear terms bend the error (method, 8).
 
 The steps of a pendulum near the top, or of an axis that sticks, do to an error what they do to a
-state beside it. So each free run in flight is stepped from as many states beside its own as it
-has, one standard deviation off, and what becomes of the distances is the new covariance. Dry
-friction counts as it holds, not with a slope.
+state beside it. So each free run in flight is stepped from states beside its own, two standard
+deviations off to either side of it along each axis of the covariance; what becomes of the larger
+distances is the new one. So it is told that an estimate says nothing when a state that is likely
+falls down on the other side. Dry friction counts as it holds, not with a slope.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, StepOfSome, Told
 
 LARGEST = 1e100  # beyond it nothing is known
+OFF = 2.0  # standard deviations between a free run and the states beside it
 # runs at most with which states beside some of them are stepped in one call: it costs more than
 # its numbers. The matrices of more are dear to copy
 TOGETHER = 300
@@ -33,9 +35,9 @@ class _Along(NamedTuple):
     at: Where  # n, where the spreads stand; None: there are none
     rows: Where  # n of their runs
     own: Where  # n, where these are among the runs that are stepped
-    beside: int  # K, the largest order of them: so many states are beside each
-    step: StepOfSome  # of all runs to be stepped, and as many of n K states as it takes
-    apart: StepOfSome | None  # of the n K states, if that does not; None: it does
+    most: int  # K, the largest order of them: 2 K states are beside each
+    step: StepOfSome  # of all runs to be stepped, and of the 2 n K states if it takes them
+    apart: StepOfSome | None  # of the 2 n K states, if that does not; None: it does
 
 
 class Spreads:
@@ -49,11 +51,13 @@ class Spreads:
         self._at = {i: at for at, i in enumerate(bends)}
         self._orders = [len(b.row) for b in bends.values()]
         self._start, self._growth = np.zeros((n, k, k)), np.zeros((n, k, k))
-        self._row = np.zeros((n, k))
+        self._row, self._sizes = np.zeros((n, k)), np.ones((n, k))
         for at, (b, order) in enumerate(zip(bends.values(), self._orders)):
             self._start[at, :order, :order] = b.start
             self._growth[at, :order, :order] = b.growth
             self._row[at, :order] = b.row
+            usual = np.sqrt(np.diagonal(b.start + b.growth))
+            self._sizes[at, :order] = np.where(usual > 0.0, usual, 1.0)
         self._direct = [b.direct for b in bends.values()]
         self._all = np.arange(len(batch.runs_on))
         # by who flies, and whether nobody else is stepped: the last two
@@ -84,16 +88,19 @@ class Spreads:
         known = all(map(math.isfinite, old[:, 0, 0].tolist()))  # else all of it is infinite
         values, vectors = np.linalg.eigh(old if known else np.where(np.isfinite(old), old, 0.0))
         # (n, k, K), by column; what is left out is 0: states beyond the orders
-        roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -way.beside:]
+        roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -way.most:]
         n, k, K = roots.shape
-        beside = (state.z[way.rows][:, None, :] + roots.transpose(0, 2, 1)).reshape(n * K, k)
+        off = OFF * np.concatenate((roots, -roots), axis=2).transpose(0, 2, 1)  # (n, 2 K, k)
+        beside = (state.z[way.rows][:, None, :] + off).reshape(2 * n * K, k)
         if way.apart is None:
             ended, outside = way.step(np.concatenate((z, beside)), state.told, told, commands)
             ended, beside, outside = ended[:len(z)], ended[len(z):], outside[:len(z)]
         else:
             ended, outside = way.step(z, state.told, told, commands)
             beside = way.apart(beside, state.told, told, commands)[0]
-        off = beside.reshape(n, K, k) - ended[way.own][:, None, :]
+        off = (beside.reshape(n, 2 * K, k) - ended[way.own][:, None, :]) / OFF
+        far = ((off / self._sizes[way.at][:, None, :])**2).sum(axis=2, keepdims=True)
+        off = np.where(far[:, :K] >= far[:, K:], off[:, :K], off[:, K:])
         found = off.transpose(0, 2, 1) @ off + self._growth[way.at]
         if not (known and found.max() < LARGEST):  # which is on the diagonal
             found[~((np.abs(found) < LARGEST) & np.isfinite(old)).all(axis=(1, 2))] = np.inf
@@ -113,7 +120,7 @@ class Spreads:
         most = max((self._orders[a] for a in at), default=0)
         stepped, step_of = self._free[list(flights)] if alone else self._all, self._batch.step_of
         rows, together = self._rows[at], len(stepped) <= TOGETHER
-        beside = np.repeat(rows, most)
+        beside = np.repeat(rows, 2 * most)
         step = step_of(np.concatenate((stepped, beside))) if most and together else \
             step_of(stepped) if alone else self._batch.step
         if not most:
