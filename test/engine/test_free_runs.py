@@ -11,7 +11,15 @@ import pytest
 sys.path.append(str(Path(__file__).parent))
 from machine import Machine, PERIOD, SECOND
 
-from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
+from vsensor_ros.engine import (
+    CannotServe,
+    Engine,
+    IsolationReport,
+    Live,
+    Policy,
+    Setup,
+    StreamPlan,
+)
 from vsensor_ros.observers import Noise
 
 START = 1000 * SECOND
@@ -108,6 +116,16 @@ def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):
     times = [round((c.time - START) / PERIOD) for c in m.sent]
     errors = values - m.x[times, 0]
     assert abs(errors[0]) < 4 * 0.0005 and np.abs(np.diff(errors)).max() < 0.0005
+
+
+def test_one_that_no_limit_ends_is_not_forced(joint):
+    m = joint(limit=0.0).until(3.0)
+    with pytest.raises(CannotServe, match='^angle: cannot be forced; .* no limit says'):
+        m.engine.force('angle')
+    assert m.state('angle').source == 'real' and not m.state('angle').forced
+    m.engine.apply(replace(m.setup.live, max_deviation={'angle': 0.002, 'tacho': 0.0}))
+    m.send(m.engine.force('angle'))
+    assert m.state('angle').source == 'virtual'
 
 
 def test_when_another_run_is_the_surer_the_output_does_not_step(bench):

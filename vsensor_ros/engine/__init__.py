@@ -16,11 +16,12 @@ from vsensor_ros.engine.events import (
 )
 from vsensor_ros.engine.settings import Live, Setup, StreamPlan
 from vsensor_ros.engine.state import ChannelState, EngineState
-from vsensor_ros.engine.switch import Decision, Policy, Source, Switch
+from vsensor_ros.engine.switch import CannotServe, Decision, Policy, Source, Switch
 
 __all__ = [
     'ANYBODYS',
     'Bumpless',
+    'CannotServe',
     'ChannelState',
     'CommandState',
     'Composition',

@@ -199,8 +199,9 @@ class Engine:
         return self._command(lambda time: self._switch.isolate(reported, time))
 
     def force(self, name: str) -> Messages:
-        """Treat a sensor as faulty until released; raises ValueError, one line, and KeyError."""
-        return self._command(lambda time: self._switch.force(name, time))
+        """Treat a sensor as faulty until released; raises CannotServe and KeyError."""
+        return self._command(
+            lambda time: self._switch.force(name, time, self._stand_in.never))
 
     def release(self, name: str) -> Messages:
         """End the force on a sensor; raises KeyError."""

@@ -13,7 +13,14 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 import math
 
-from vsensor_ros.engine.choice import Candidates, Choice, FaultSet
+from vsensor_ros.engine.choice import (
+    Candidates,
+    Choice,
+    FaultSet,
+    Never,
+    perhaps,
+    WHILE,
+)
 from vsensor_ros.engine.limits import BEYOND
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
@@ -60,6 +67,18 @@ class Policy:
             raise ValueError(f'recovery: {self.recovery!r} is none of {", ".join(_RECOVERY)}')
         if not (math.isfinite(self.dwell) and self.dwell >= 0.0):
             raise ValueError(f'dwell: {self.dwell} is not a time in s; give 0 or more')
+
+
+class CannotServe(ValueError):
+    """A sensor cannot be forced: `channel` would be without a value then, for a `reason`."""
+
+    def __init__(self, name: str, channel: str, failed: FaultSet, reason: Reason | None) -> None:
+        """Say it in one line; reason: None: nothing is designed for `channel` without these."""
+        self.channel, self.reason = channel, reason
+        without = ', '.join(failed)
+        who = 'no virtual sensor is designed that' if reason is None else 'nobody'
+        super().__init__(f'{name}: cannot be forced; {who} could speak for {channel} without '
+                         f'{without}' + ('' if reason is None else f': {reason}'))
 
 
 @dataclass(frozen=True)
@@ -115,26 +134,28 @@ class Switch:
         silent = self._known(names)
         return self if silent == self.silent else self._report(time, self.reported, silent)
 
-    def force(self, name: str, time: int) -> Switch:
+    def force(self, name: str, time: int, never: Never = perhaps) -> Switch:
         """
         Treat a sensor as faulty until it is released, as soon as that does no harm.
 
         A force is for tests and maintenance, so it never makes anything worse: the sensor goes on
         until a virtual one is ready, and the force ends by itself when that is lost, or when it
-        leaves a sensor that did fail without a virtual one. Raises ValueError, one line, when no
-        virtual sensor could ever serve with the present faults; KeyError if unknown.
+        leaves a sensor that did fail without a virtual one. never: tells why a virtual sensor
+        cannot serve, however long one waits. Raises CannotServe when none could ever serve with
+        the present faults; KeyError if unknown.
         """
         self._known((name,))
         if name in self.forced:
             return self
         others = self.failed | self.recovering.keys() | self.forced
         for channel in (name, *(s for s in self.sensors if s in others)):
-            left = self.choice.candidates(others | {name}, channel)
-            if left or (channel != name and not self.choice.candidates(others, channel)):
+            left = {key: never(key, channel)
+                    for key in self.choice.candidates(others | {name}, channel)}
+            if None in left.values() or (channel != name and all(
+                    never(key, channel) for key in self.choice.candidates(others, channel))):
                 continue
-            failed = ', '.join(s for s in self.sensors if s in others | {name})
-            raise ValueError(f'{name}: cannot be forced; no virtual sensor is designed that '
-                             f'could speak for {channel} without {failed}')
+            failed = tuple(s for s in self.sensors if s in others | {name})
+            raise CannotServe(name, channel, failed, next(iter(left.values()), None))
         return replace(self, forced=self.forced | {name}, told=None)
 
     def release(self, name: str, time: int) -> Switch:
@@ -357,12 +378,14 @@ class Switch:
         lost, why = self.choice.lost.get(name, {}), asked.why_not(fault_set, name)
         if (again := lost.get(fault_set)) is not None:
             return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
-                             dwell=self.policies[name].dwell)
+                             dwell=max(self.policies[name].dwell, WHILE * 1e-9))
         if fault_set in lost and (fault_set, name) in self.choice.temporary:
             if why is None:
                 return Reason('had its time')
             if why.code in BEYOND:
                 return Reason.of('served its time', why=why)
+        if fault_set in lost and why is None:
+            why = asked.why_not_again(fault_set, name)
         return why or Reason.of('less sure', fault_set=fault_set,
                                 deviation=asked.deviation(fault_set, name))
 
