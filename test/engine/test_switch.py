@@ -422,7 +422,8 @@ def test_a_force_that_would_wait_for_ever_is_refused(build):
     run, forever = Run(build('a/a ab/a b/b c/c ac/a ac/c')), Reason('no limit')
 
     def force(*never):
-        run.switch.force('a', 0, lambda key, s: (f'{"".join(key)}/{s}' in never or None) and forever)
+        run.switch.force('a', 0, lambda key, s:
+                         forever if f'{"".join(key)}/{s}' in never else None)
     run.unready = {'a/a': 'converging'}
     force('a/a', 'ac/a')  # ab/a may serve yet
     with pytest.raises(CannotServe, match='^a: cannot be forced; nobody could speak for a without '
