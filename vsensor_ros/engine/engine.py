@@ -269,15 +269,15 @@ class Engine:
         names = self._switch.faulty | self._switch.forced
         if not names:
             return None
-        return min((stream.lag(name) for stream in self._streams for name in stream.names
+        return min((stream.composer.lag(name) for stream in self._streams for name in stream.names
                     if name in names), default=None)
 
     def _silence(self) -> None:
         """Tell the switch who has fallen silent, of those whose silence counts."""
         before = self._switch.silent
         silent = frozenset(
-            name for name, stream in self._watched if not stream.fresh(name)
-            and (stream.heard(name) or name in before))
+            name for name, stream in self._watched if not stream.heard.fresh(name)
+            and (stream.heard.ever(name) or name in before))
         if silent != before:
             self._switch = self._switch.silence(silent, self._clock.lasting())
 
@@ -398,7 +398,7 @@ class Engine:
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
-        return any(stream.heard(name) for stream in self._streams for name in stream.names)
+        return any(stream.heard.ever(name) for stream in self._streams for name in stream.names)
 
     def snapshot(self, steady: float) -> EngineState:
         """
@@ -437,7 +437,7 @@ class Engine:
         source, reason = self._is(stream, channel)
         fault_set, serves, value, deviation, interval = faulty, None, channel.value, math.inf, None
         if standstill is not None and (
-                source == VIRTUAL or source == REAL and stream.composes(name)):
+                source == VIRTUAL or source == REAL and stream.composer.composes(name)):
             source, value = NONE, math.nan  # for nothing is composed meanwhile
             reason = Reason.of('instead', why=standstill, instead=Reason('stop'))
         elif source == VIRTUAL:
@@ -452,8 +452,9 @@ class Engine:
         else:
             deviation = 0.0
             if stream.plain:
-                value = stream.latest(name)
-        if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
+                value = stream.heard.latest(name)
+        silence = stream.composer.driver_silence(name)
+        if decision.source is not Source.REAL and silence is not None:
             reason = silence if reason is None else \
                 Reason.of('both', first=reason, second=silence)
         recovering, would = self._switch.recovering.get(name), self._reserve(name)

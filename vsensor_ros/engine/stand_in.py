@@ -108,13 +108,13 @@ class StandIn:
             return reason
         name = reason.fact('name')
         stream = self._stream_of(name)
-        silence = None if stream is None else stream.silence(name)
+        silence = None if stream is None else stream.heard.silence(name)
         if stream is None or silence is None:
             return reason
         ahead = stream.ahead(name) * 1e-9
         if abs(ahead) < LATE and reason.code == 'input silent':  # nothing of it went out, say
             ahead = silence * 1e-9 - reason.fact('seconds')
-        if not stream.fresh(name):
+        if not stream.heard.fresh(name):
             return Reason.of('input silent', name=name, seconds=silence * 1e-9)
         if abs(ahead) < LATE:
             return reason
@@ -192,7 +192,7 @@ class StandIn:
 
     def sent(self, stream: Stream, composition: Composition) -> None:
         """Note that a message went out."""
-        stream.sent(composition)
+        stream.composer.sent(composition)
         for i, field in composition.fields:
             if not isinstance(field, Substitute):
                 continue
@@ -206,7 +206,7 @@ class StandIn:
 
     def failed(self, stream: Stream, composition: Composition, trouble: Reason) -> None:
         """Note that a message cannot be made, so that its channels have no source."""
-        stream.trouble([stream.names[i] for i, _ in composition.fields], trouble)
+        stream.composer.trouble([stream.names[i] for i, _ in composition.fields], trouble)
         for i, field in composition.fields:
             if isinstance(field, Substitute):
                 _note(stream.channels[i], trouble)

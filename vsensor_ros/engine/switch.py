@@ -249,7 +249,7 @@ class Switch:
             would = replace(self.isolate(self.reported | {name}, time), told=None)
             return would.decide(time, asked).decisions[name]
         faulty = self.faulty | {name}
-        failing = replace(self, faulty=faulty, reported=self.reported | {name})
+        failing = replace(self, faulty=faulty, reported=self.reported | {name}, latest=time)
         source, fault_set = failing._server(name, faulty, time, asked)
         return Decision(source, fault_set, None if source is Source.VIRTUAL else
                         failing._lack(name, faulty, asked))
