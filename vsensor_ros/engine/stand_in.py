@@ -9,11 +9,11 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.choice import BETTER
 from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.decision import Decision, Source
 from vsensor_ros.engine.events import Composition, Substitute
 from vsensor_ros.engine.limits import Limits
 from vsensor_ros.engine.settings import Live
 from vsensor_ros.engine.stream import Stream
-from vsensor_ros.engine.switch import Decision, Source
 from vsensor_ros.engine.wanted import Wanted
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason

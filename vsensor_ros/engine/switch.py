@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
-import math
 
 from vsensor_ros.engine.choice import (
     Candidates,
@@ -21,64 +19,14 @@ from vsensor_ros.engine.choice import (
     perhaps,
     WHILE,
 )
+from vsensor_ros.engine.decision import CannotServe, Decision, Source
 from vsensor_ros.engine.limits import BEYOND
+from vsensor_ros.engine.policy import complete, Policy, RECOVERY
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 _TOLD = 1_000_000_000  # ns between two looks at the reasons: what they say of times grows old
-_RECOVERY = {'automatic': 'recovering', 'hold': 'held', 'latched': 'latched'}  # reasons' codes
-
-
-class Source(Enum):
-    """Where a channel's values come from."""
-
-    REAL = 'real'
-    VIRTUAL = 'virtual'
-    NONE = 'none'
-
-
 _REAL: tuple[Source, FaultSet] = (Source.REAL, ())
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Who serves one channel, and why not another."""
-
-    source: Source
-    fault_set: FaultSet = ()  # of the virtual sensor that serves
-    reason: Reason | None = None
-
-
-@dataclass(frozen=True)
-class Policy:
-    """
-    What one sensor must do to be believed again after a fault.
-
-    'automatic': be healthy for the dwell; 'hold': be cleared, too; 'latched': all are reset.
-    Raises ValueError, one line.
-    """
-
-    recovery: str = 'automatic'
-    dwell: float = 2.0  # s of health without interruption before it is believed; 0: none
-    silent_is_faulty: bool = False
-
-    def __post_init__(self) -> None:
-        if self.recovery not in _RECOVERY:
-            raise ValueError(f'recovery: {self.recovery!r} is none of {", ".join(_RECOVERY)}')
-        if not (math.isfinite(self.dwell) and self.dwell >= 0.0):
-            raise ValueError(f'dwell: {self.dwell} is not a time in s; give 0 or more')
-
-
-class CannotServe(ValueError):
-    """A sensor cannot be forced: `channel` would be without a value then, for a `reason`."""
-
-    def __init__(self, name: str, channel: str, failed: FaultSet, reason: Reason | None) -> None:
-        """Say it in one line; reason: None: nothing is designed for `channel` without these."""
-        self.channel, self.reason = channel, reason
-        without = ', '.join(failed)
-        who = 'no virtual sensor is designed that' if reason is None else 'nobody'
-        super().__init__(f'{name}: cannot be forced; {who} could speak for {channel} without '
-                         f'{without}' + ('' if reason is None else f': {reason}'))
 
 
 @dataclass(frozen=True)
@@ -109,7 +57,7 @@ class Switch:
     @classmethod
     def of(cls, design: Design, policies: Mapping[str, Policy] | None = None) -> Switch:
         """Begin with all sensors healthy; those that have no policy get the default one."""
-        return cls(design, _complete(design, policies or {}),
+        return cls(design, complete(design, policies or {}),
                    dict.fromkeys(design.sensors, Decision(Source.REAL)), Choice.of(design))
 
     @property
@@ -199,7 +147,7 @@ class Switch:
 
     def with_policies(self, policies: Mapping[str, Policy]) -> Switch:
         """Change the policies, for sensors that recover now, too; KeyError if one is unknown."""
-        policies = _complete(self.design, policies)
+        policies = complete(self.design, policies)
         if policies == self.policies:
             return self
         new = replace(self, policies=policies, told=None)
@@ -397,12 +345,5 @@ class Switch:
             return Reason('silent')
         if name in self.recovering:
             policy = self.policies[name]
-            return Reason.of(_RECOVERY[policy.recovery], dwell=policy.dwell)
+            return Reason.of(RECOVERY[policy.recovery], dwell=policy.dwell)
         return Reason('forced')
-
-
-def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:
-    unknown = sorted(set(policies).difference(design.sensors))
-    if unknown:
-        raise KeyError(f'{", ".join(unknown)}: no such sensor')
-    return {s: policies.get(s, Policy()) for s in design.sensors}
