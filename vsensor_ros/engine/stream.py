@@ -49,7 +49,6 @@ class Stream:
         self._withheld, self._apart = Withheld(), Apart()
         self._max_age = {c.name: c.max_age for c in channels}
         self.heard = Heard(self._max_age, clock)
-        self._note = self.heard.note
         self.composer = Composer(index, plan, channels, clock, period, recall, self.heard,
                                  self.senders, say, self._withhold)
         self._longest = max(self._max_age.values())
@@ -68,7 +67,7 @@ class Stream:
         """
         now, values, stamp = self._clock.now, message.values, message.stamp
         if self.plain and self.active and len(values) == 1 and values[0].__class__ is float:
-            self._note(self.names[0], float(values[0]), now)
+            self.heard.note(self.names[0], float(values[0]), now)
             only = self._only  # mostly it is so
             only.take(token, now)
             if stamp is not None and (back := only.sends(stamp, now)):
@@ -78,7 +77,7 @@ class Stream:
             if isinstance(value, Reason):
                 self.heard.lack(name, value, now)
             else:
-                self._note(name, value, now)
+                self.heard.note(name, value, now)
         present = self.names if Reason not in map(type, values) else tuple(
             n for n, v in zip(self.names, values) if not is_absent(v))
         sender = self.senders.sender(present)
