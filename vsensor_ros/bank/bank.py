@@ -12,12 +12,13 @@ import numpy as np
 
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.record import Rehearsal
+from vsensor_ros.bank.serving import OUT_OF_LINE, Serving
 from vsensor_ros.bank.state import State
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
 
-_OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
+_FEW = 4  # outputs, of which unseen motion is worked out one by one
 INDEPENDENT, FREE = '', 'from the last good readings'  # runs
 
 
@@ -40,12 +41,10 @@ class Bank(Steps):
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
         self._of: list[int] = self._batch.of.tolist()
-        tracked = {t.own: i for i, t in enumerate(self._batch.tracked)}
-        # by output: which of the tracked it is of, and its longest guard [s]
-        self._tracked = {output: tracked[row] for output, row in enumerate(self._of)
-                         if row in tracked}
-        self._guard = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
-                       for t in self._batch.tracked]
+        self._serving = Serving(
+            self._batch, self._runs, self._spreads, self._measured,
+            [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
+             for t in self._batch.tracked], self.period * 1e-9, self._short_way, self._widening)
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -75,7 +74,7 @@ class Bank(Steps):
         steps, rest = divmod(time - self._at(self._past[0].tick), self.period)
         last = len(self._past) - 1
         before, after = self._past[min(steps, last)], self._past[min(steps + 1, last)]
-        row = self._row(output)
+        row = self._serving.row(output)
         if not (before.running[row] and after.running[row]):
             return None
         there = float(self._estimates_at(before)[output])
@@ -84,7 +83,9 @@ class Bank(Steps):
             value += rest / self.period * (float(self._estimates_at(after)[output]) - there)
         if not math.isfinite(value):
             return None
-        deviation = self._deviation(output, before, self._unseen_at(before))
+        deviation = self._deviation(output, row) if before is self._past[-1] else \
+            self._serving.deviation(output, row, before, float(
+                self._unseen_at(before, output)[0]))
         return value, deviation, self._batch.interval(
             output, self._runs.serving(before.z), before.told, self._age(output, before))
 
@@ -92,12 +93,12 @@ class Bank(Steps):
         """Return the time [ns] since which the virtual sensor has been running, or None."""
         output = self._running(fault_set, channel)
         return None if output is None else self._at(
-            int(self._past[-1].since[self._row(output)]))
+            int(self._past[-1].since[self._serving.row(output)]))
 
     def run(self, fault_set: Iterable[str], channel: str) -> str:
         """Return which run says it: the one that never read the channel, or one that did."""
         output = self._output.get((frozenset(fault_set), channel))
-        return FREE if output is not None and self._is_free(output) else INDEPENDENT
+        return FREE if output is not None and self._serving.is_free(output) else INDEPENDENT
 
     def ready(self, fault_set: Iterable[str], channel: str) -> bool:
         """
@@ -120,38 +121,39 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        alone = self._waiting(output) if self._past[-1].running[self._row(output)] else math.inf
-        return min(alone, self._until_tracked(output))
+        running = self._past[-1].running[self._serving.row(output)]
+        alone = self._waiting(output) if running else math.inf
+        return min(alone, self._serving.until_tracked(output, self._past))
 
     def warm_up(self, fault_set: Iterable[str], channel: str) -> float:
         """Return how long [s] it takes to forget its start; infinite when that is not known."""
         output = self._output.get((frozenset(fault_set), channel))
         if output is None:
             return math.inf
-        alone, i = float(self._batch.warm_up[output]), self._tracked.get(output)
+        alone, i = float(self._batch.warm_up[output]), self._serving.tracked.get(output)
         if i is None:
             return alone
         tracked = self._batch.tracked[i]
-        followed = tracked.warm_up + self._guard[i]
+        followed = tracked.warm_up + self._serving.guards[i]
         return followed if tracked.temporary else min(alone, followed)
 
     def grows(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether it only goes on from the channel's last readings, and drifts off then."""
         output = self._output.get((frozenset(fault_set), channel))
-        i = None if output is None else self._tracked.get(output)
+        i = None if output is None else self._serving.tracked.get(output)
         return i is not None and self._batch.tracked[i].temporary
 
     def remaining(self, fault_set: Iterable[str], channel: str, limit: float) -> float:
         """Return how long [s] it is until its deviation passes a limit; inf: it does not grow."""
         output = self._output.get((frozenset(fault_set), channel))
-        i = None if output is None else self._tracked.get(output)
+        i = None if output is None else self._serving.tracked.get(output)
         if output is None or i is None or not self._past:
             return math.inf
-        if self._is_free(output) and self._runs.lost(i):
-            age = self._age(output) if self._flies(i) else math.inf
-            unseen = float(self._unseen_now()[output])
+        if self._serving.is_free(output) and self._runs.lost(i):
+            age = self._age(output) if self._serving.flies(i, self._past) else math.inf
+            unseen = self._unseen_now(output)
         elif self._batch.tracked[i].temporary:
-            age, unseen = self._guard[i], 0.0
+            age, unseen = self._serving.guards[i], 0.0
         else:
             return math.inf
         left = limit**2 - unseen**2
@@ -184,13 +186,13 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        served = self._deviation(output, self._past[-1], self._unseen_now()) \
-            if self._past[-1].running[self._row(output)] else math.inf
-        i = self._tracked.get(output)
+        row = self._serving.row(output)
+        served = self._deviation(output, row) if self._past[-1].running[row] else math.inf
+        i = self._serving.tracked.get(output)
         if i is None or self._runs.lost(i):
             return served
-        followed = math.inf if self._until_tracked(output) else self._widening(output) * \
-            float(self._measured.growth.stated(i, self._guard[i]))
+        followed = math.inf if self._serving.until_tracked(output, self._past) else \
+            self._widening(output) * self._measured.growth.stated(i, self._serving.guards[i])
         temporary = self._batch.tracked[i].temporary
         if temporary or (followed < math.inf and self._waiting(output)):
             return followed
@@ -250,7 +252,7 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        if self._is_free(output):
+        if self._serving.is_free(output):
             centre, spread = 0.0, self._spread_of_free(output, last)
         else:
             record = self._measured.record
@@ -258,7 +260,7 @@ class Bank(Steps):
             spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
         known = not math.isnan(centre)
         value = self._residual(output, last)
-        if value is not None and abs(value - (centre if known else 0.0)) <= _OUT_OF_LINE * spread:
+        if value is not None and abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
             return value
         return centre if known else None
 
@@ -274,10 +276,11 @@ class Bank(Steps):
         if key in self._batch.left_out:
             return self._batch.left_out[key]
         output = self._output[frozenset(entry.fault_set), channel]
-        i = self._tracked.get(output)
-        if self._until_tracked(output) == 0.0:
+        i = self._serving.tracked.get(output)
+        if self._serving.until_tracked(output, self._past) == 0.0:
             return self._why_invalid(output)
-        if i is not None and self._batch.tracked[i].temporary and not self._flies(i):
+        if i is not None and self._batch.tracked[i].temporary and \
+                not self._serving.flies(i, self._past):
             return self._why_not_tracked(output, i)
         if self.estimate(entry.fault_set, channel) is not None:
             wait = self.waiting(entry.fault_set, channel)
@@ -300,13 +303,14 @@ class Bank(Steps):
         tracked = self._batch.tracked[i]
         lack = self._told.missing(self._batch.starts_on[self._of[output]], self._now)
         if lack is not None or self._runs.lost(i):
-            return lack or self._runs.why[i] or Reason.of('track lost')
+            return lack or self._runs.why[i] or Reason.of(
+                'catching up' if self._flights.behind(i) else 'track lost')
         lack = self._told.missing(self._batch.starts_on[tracked.tracker], self._now)
         if lack is not None:
             own = [self.sensors[c] for c in tracked.channels]
             isolated = lack.code == 'input isolated' and lack.fact('name') in own
             return Reason.of('not tracked yet') if isolated else lack
-        wait = self._until_tracked(output)
+        wait = self._serving.until_tracked(output, self._past)
         return Reason.of('converging' if self._batch.proved[output] else 'converging, not proved',
                          seconds=wait) if 0.0 < wait < math.inf else Reason.of('about to start')
 
@@ -326,32 +330,26 @@ class Bank(Steps):
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
-    def _unseen_at(self, state: State) -> np.ndarray:
-        return self._measured.unseen(state.tick, self._told.ages_at(self._at(state.tick)))
+    def _unseen_at(self, state: State, output: int | None = None) -> np.ndarray:
+        """Return what readings may have moved by then since their last: of one output, or (O,)."""
+        ages = self._told.ages_at(self._at(state.tick))
+        return self._measured.unseen(state.tick, ages, output)
 
-    def _unseen_now(self) -> np.ndarray:
-        if self._unseen is None:
-            self._unseen = self._unseen_at(self._past[-1])
-        return self._unseen
+    def _unseen_now(self, output: int) -> float:
+        """Return that of an output now."""
+        if self._unseen is None and output not in self._unseen_of:
+            if len(self._unseen_of) < _FEW:
+                self._unseen_of[output] = float(self._unseen_at(self._past[-1], output)[0])
+            else:
+                self._unseen = self._unseen_at(self._past[-1])
+        return float(self._unseen_of[output] if self._unseen is None else self._unseen[output])
 
-    def _deviation(self, output: int, state: State, unseen: np.ndarray) -> float:
-        return self._deviation_of(output, self._row(output), state, unseen)
-
-    def _deviation_of(self, output: int, row: int, state: State, unseen: np.ndarray) -> float:
-        """Return the deviation of what an output says of one of its runs."""
-        age = float(state.tick - state.since[row]) * self.period * 1e-9
-        i, wider = self._tracked.get(output), self._widening(output)
-        if i is not None and row == self._batch.tracked[i].free:
-            # what the model errs more now reaches it in time as much as the independent run
-            more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
-                math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen[output], more, wider * max(
-                float(self._measured.growth.stated(i, age)), self._spreads.deviation(i, state)))
-        else:
-            found = math.hypot(
-                wider * self._measured.base[output], unseen[output], self._batch.deviation(
-                    output, state.z[:self._batch.size], state.told, age))
-        return math.inf if math.isnan(found) else found
+    def _deviation(self, output: int, row: int) -> float:
+        """Return the deviation of what an output says now of one of its runs."""
+        if (output, row) not in self._deviations:
+            self._deviations[output, row] = self._serving.deviation(
+                output, row, self._past[-1], self._unseen_now(output))
+        return self._deviations[output, row]
 
     def _widening(self, output: int) -> float:
         """Return by what factor it is worse now than usual, by what healthy sensors show."""
@@ -367,17 +365,18 @@ class Bank(Steps):
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
         return output if output is not None and self._past \
-            and self._past[-1].running[self._row(output)] else None
+            and self._past[-1].running[self._serving.row(output)] else None
 
     def _age(self, output: int, state: State | None = None) -> float:
         """Return for how long [s] the virtual sensor of an output has been running; by now."""
         state = state or self._past[-1]
-        return float(state.tick - state.since[self._row(output)]) * self.period * 1e-9
+        return float(state.tick - state.since[self._serving.row(output)]) * self.period * 1e-9
 
     def _waiting(self, output: int) -> float:
         """Return the time [s] until the run that serves has forgotten its start."""
-        if self._is_free(output):
-            return 0.0 if self._flies(self._tracked[output]) else math.inf
+        if self._serving.is_free(output):
+            return 0.0 if self._serving.flies(
+                self._serving.tracked[output], self._past) else math.inf
         return self._batch.waiting(output, self._past[-1].z[:self._batch.size],
                                    self._age(output))
 
@@ -397,7 +396,7 @@ class Bank(Steps):
                 self._past[0].tick <= reading[0] <= self._past[-1].tick:
             return None
         state = self._past[reading[0] - self._past[0].tick]
-        if not state.running[self._row(output)]:
+        if not state.running[self._serving.row(output)]:
             return None
         value = float(reading[1] - self._estimates_at(state)[output])
         if not math.isfinite(value):
@@ -419,67 +418,15 @@ class Bank(Steps):
         self._choose()
 
     def _choose(self) -> None:
-        """Let of the independent and the free run that serve whose deviation is the smaller."""
-        if not self._runs.flying or not self._past:
-            return
-        state, unseen = self._past[-1], self._unseen_now()
-        for output, i in self._tracked.items():
-            own, free = self._of[output], self._batch.tracked[i].free
-            if own == free or self._runs.seed(i) is None:
-                continue
-            alone = math.inf
-            age = float(state.tick - state.since[own]) * self.period * 1e-9
-            if state.running[own] and not self._batch.waiting(
-                    output, state.z[:self._batch.size], age):
-                # it knows no more of where it is than the free run, that its terms bend as much
-                alone = max(self._deviation_of(output, own, state, unseen),
-                            self._spreads.deviation(i, state))
-            freely = self._deviation_of(output, free, state, unseen) \
-                if state.running[free] else math.inf
-            agree = max(alone, freely) == math.inf or \
-                self._apart(output, i) <= _OUT_OF_LINE * math.hypot(alone, freely)
-            proven = self._measured.record.proven(output)
-            if self._runs.choose(i, alone, freely, proven, agree):
-                self._estimates = None
-
-    def _apart(self, output: int, i: int) -> float:
-        """Return by how much the independent and the free run of a tracked one differ now."""
-        state, tracked = self._past[-1], self._batch.tracked[i]
-        z = state.z[:self._batch.size].copy()
-        said = []
-        for run in (tracked.own, tracked.free):
-            z[tracked.own] = state.z[run]
-            with np.errstate(all='ignore'):
-                said.append(float(self._batch.estimates(
-                    z, state.told.y, state.told.held)[output]))
-        angle = self.angles.get(self._batch.keys[output][1])
-        return abs(said[1] - said[0] if angle is None else angle.shortest(said[1] - said[0]))
-
-    def _row(self, output: int) -> int:
-        """Return the run that serves for an output."""
-        return int(self._runs.rows[self._of[output]])
-
-    def _is_free(self, output: int) -> bool:
-        i = self._tracked.get(output)
-        return i is not None and self._row(output) == self._batch.tracked[i].free
-
-    def _flies(self, i: int) -> bool:
-        """Tell whether a free run goes on now without its channels."""
-        return self._runs.seed(i) is not None and bool(
-            self._past[-1].running[self._batch.tracked[i].free])
-
-    def _until_tracked(self, output: int) -> float:
-        """Return the time [s] until there is a free run if the channels are lost then."""
-        i = self._tracked.get(output)
-        if i is None or not self._past or self._runs.lost(i):
-            return math.inf
-        return self._runs.waiting(i, self._past[-1], self._guard[i])
+        if self._runs.flights and self._past and \
+                self._serving.choose(self._past[-1], self._deviation):
+            self._estimates = None
 
     def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
         """Return the standard deviation of a reading (tick, value) - what a free run says."""
-        seed = self._runs.seed(self._tracked[output])
+        seed = self._runs.seed(self._serving.tracked[output])
         if seed is None or reading is None:
             return math.nan
         age = max(0.0, (reading[0] - seed.tick) * self.period * 1e-9)
-        return math.hypot(seed.spread, float(
-            self._measured.growth.stated(self._tracked[output], age)))
+        return math.hypot(seed.spread, self._measured.growth.stated(
+            self._serving.tracked[output], age))
