@@ -99,11 +99,24 @@ def test_lost_after_three_seconds_it_counts_down_and_ends(joint):
 
 @pytest.mark.parametrize(('told', 'clean'), [(False, False), (True, True)])
 def test_a_known_onset_goes_before_the_guard(joint, told, clean):
-    m = joint().until(3.0)
+    m = joint()
+    m.engine._bank._runs._begins = frozenset({320})  # no rehearsal is older than the fault
+    m.until(3.0)
     m.until(3.8, lambda t: 0.5)  # sticks, and is isolated late
     m.isolate('angle', since=START + 3 * SECOND if told else 0)
     m.until(4.3, lambda t: 0.5)
     assert (abs(m.error()) <= 3 * m.state('angle').deviation) == clean
+
+
+def test_a_fault_that_the_last_rehearsal_shows_is_not_in_the_free_run(joint):
+    """It sticks for longer than the guard, and nobody says since when."""
+    m = joint().until(3.0)
+    m.until(3.8, lambda t: 0.5)
+    m.isolate('angle')
+    m.until(4.3, lambda t: 0.5)
+    y = m.state('angle')
+    assert y.source == 'virtual' and abs(m.error()) <= 3 * y.deviation < 0.006
+    assert m.engine._bank.started(('angle',), 'angle') < START + 3 * SECOND
 
 
 def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):

@@ -427,6 +427,6 @@ class Bank(Steps):
         seed = self._runs.seed(self._serving.tracked[output])
         if seed is None or reading is None:
             return math.nan
-        age = max(0.0, (reading[0] - seed.tick) * self.period * 1e-9)
+        age = max(0.0, (reading[0] - seed.since) * self.period * 1e-9)
         return math.hypot(seed.spread, self._measured.growth.stated(
             self._serving.tracked[output], age))
