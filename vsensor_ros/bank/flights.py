@@ -19,7 +19,7 @@ from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, Told
 
-AT_ONCE = 200  # steps that flights are brought nearer to now between two ticks, at least
+AT_ONCE = 120  # steps that flights are brought nearer to now between two ticks, at least
 
 
 class Flights:
@@ -88,7 +88,7 @@ class Flights:
         return (found - zero) // period
 
     def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> np.ndarray:
-        """Begin flights (which, at which tick), that are behind; return all others (R,)."""
+        """Begin flights (which, at which tick), so that they are behind; return all else (R,)."""
         begun = {i: tick for i, at in moved
                  if (tick := self._runs.lose(i, at, past, self._stated)) is not None}
         if begun:

@@ -63,6 +63,7 @@ class FreeRuns:
         """Forget all."""
         self._seeds: list[Seed | None] = [None] * len(self.tracked)
         self.why: list[Reason | None] = [None] * len(self.tracked)
+        self._looked = b''  # who was good when that was looked at last, if nothing was lost since
         self._lost: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
         self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
         self._fresh: set[int] = set()  # of which no run was chosen yet
@@ -123,10 +124,13 @@ class FreeRuns:
         Of those it says nothing who could not go on for want of other readings.
         """
         good = self._good(state)
+        if good.tobytes() == self._looked:
+            return []
         for i in np.flatnonzero(good & self._lost).tolist():
             self._land(i)
         gone = np.flatnonzero(self._followed & ~good).tolist()
         self._followed, self.steady = good, bool(good.all()) and not self.flights
+        self._looked = good.tobytes()
         if not gone:
             return []
         lack = self._batch.runs_on[self.free[gone]] & ~state.told.there
@@ -141,6 +145,7 @@ class FreeRuns:
 
     def _set(self, i: int, seed: Seed | None, why: Reason | None) -> None:
         self._seeds[i], self.why[i] = seed, why
+        self._looked = b''
         self._lost[i] = seed is not None or why is not None
         self.flights = tuple(i for i, seed in enumerate(self._seeds) if seed is not None)
 

@@ -9,6 +9,7 @@ friction counts as it holds, not with a slope.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
@@ -23,12 +24,15 @@ LARGEST = 1e100  # beyond it nothing is known
 TOGETHER = 300
 
 
+Where = slice | np.ndarray | None
+
+
 class _Along(NamedTuple):
     """How some runs are stepped, and beside them the states that tell n spreads."""
 
-    at: list[int]  # n, where the spreads stand
-    rows: np.ndarray  # (n,) of their runs
-    own: list[int]  # n, where these are among the runs that are stepped
+    at: Where  # n, where the spreads stand; None: there are none
+    rows: Where  # n of their runs
+    own: Where  # n, where these are among the runs that are stepped
     beside: int  # K, the largest order of them: so many states are beside each
     step: StepOfSome  # of all runs to be stepped, and as many of n K states as it takes
     apart: StepOfSome | None  # of the n K states, if that does not; None: it does
@@ -74,10 +78,10 @@ class Spreads:
         """
         way = self._along(flights, alone)
         z = state.z[self._free[list(flights)]] if alone else state.z
-        if not way.at:
+        if way.at is None:
             return *way.step(z, state.told, told, commands), others
         old = (self._start if state.spread is None else state.spread)[way.at]
-        known = bool(np.isfinite(old).all())
+        known = all(map(math.isfinite, old[:, 0, 0].tolist()))  # else all of it is infinite
         values, vectors = np.linalg.eigh(old if known else np.where(np.isfinite(old), old, 0.0))
         # (n, k, K), by column; what is left out is 0: states beyond the orders
         roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -way.beside:]
@@ -91,7 +95,7 @@ class Spreads:
             beside = way.apart(beside, state.told, told, commands)[0]
         off = beside.reshape(n, K, k) - ended[way.own][:, None, :]
         found = off.transpose(0, 2, 1) @ off + self._growth[way.at]
-        if not (known and (np.abs(found) < LARGEST).all()):
+        if not (known and found.max() < LARGEST):  # which is on the diagonal
             found[~((np.abs(found) < LARGEST) & np.isfinite(old)).all(axis=(1, 2))] = np.inf
         spread = (self._start if others is None else others).copy()
         spread[way.at] = found
@@ -107,23 +111,30 @@ class Spreads:
     def _prepare(self, flights: tuple[int, ...], alone: bool) -> _Along:
         at = [self._at[i] for i in flights if i in self._at]
         most = max((self._orders[a] for a in at), default=0)
-        if not most:
-            at = []
-        rows, stepped = self._rows[at], self._free[list(flights)] if alone else self._all
-        own = [int(np.flatnonzero(stepped == row)[0]) for row in rows]
+        stepped, step_of = self._free[list(flights)] if alone else self._all, self._batch.step_of
+        rows, together = self._rows[at], len(stepped) <= TOGETHER
         beside = np.repeat(rows, most)
-        if at and len(stepped) <= TOGETHER:
-            return _Along(at, rows, own, most, self._batch.step_of(
-                np.concatenate((stepped, beside))), None)
-        return _Along(at, rows, own, most, self._batch.step_of(stepped) if alone else
-                      self._batch.step, self._batch.step_of(beside) if at else None)
+        step = step_of(np.concatenate((stepped, beside))) if most and together else \
+            step_of(stepped) if alone else self._batch.step
+        if not most:
+            return _Along(None, None, None, 0, step, None)
+        own = [int(np.flatnonzero(stepped == row)[0]) for row in rows]
+        return _Along(_where(at), _where(rows), _where(own), most, step,
+                      None if together else step_of(beside))
 
     def deviation(self, i: int, state: State) -> float:
         """Return the standard deviation of what a free run says; 0: it has no spread."""
         at = self._at.get(i)
         if at is None or state.spread is None:
             return 0.0
-        row = self._row[at]
-        variance = float(row @ state.spread[at] @ row)
-        return math.sqrt(max(0.0, variance) + self._direct[at]) \
-            if math.isfinite(variance) else math.inf
+        spread, row = state.spread[at], self._row[at]
+        if not math.isfinite(spread[0, 0]):  # nor is anything of it
+            return math.inf
+        return math.sqrt(max(0.0, float(row @ spread @ row)) + self._direct[at])
+
+
+def _where(indices: Sequence[int] | np.ndarray) -> slice | np.ndarray:
+    """Return indices as a slice where they follow each other: that is cheaper."""
+    found = np.array(indices)
+    follow = (np.diff(found) == 1).all()
+    return slice(int(found[0]), int(found[-1]) + 1) if follow else found
