@@ -399,6 +399,36 @@ def test_each_kind_has_its_own(bench, made):
         assert (composed.drift(i, np.ones(1)) == part.drift(own, np.ones(1))).all()
 
 
+def _after_a_gap(bench, seed, other=()):
+    """Return a run that lost its channel just after a gap in both sensors of a quarter second."""
+    run = Run(bench, bench.design(bench.encoder(), names=(*NAMES, *other)), 9.0, seed).until(6000)
+    run.until(6240, silent=NAMES).until(6300, silent=('angle',)).bank.distrust({'angle'})
+    return run.until(6500)
+
+
+def test_a_gap_since_the_clean_state_is_in_the_deviation(bench):
+    """Nobody knows what the joint did meanwhile, and that it was heard before says nothing."""
+    runs = [_after_a_gap(bench, seed) for seed in range(12)]
+    assert np.mean([abs(run.error) <= 2 * run.deviation for run in runs]) >= 0.9
+
+
+def test_the_loss_of_another_sensor_takes_nothing_off_the_deviation(bench):
+    run = _after_a_gap(bench, 0, other=('other',))
+    before = run.deviation
+    run.bank.distrust({'angle', 'other'})
+    assert run.deviation == before and run.until(6600).deviation >= before
+
+
+def test_gaps_from_before_the_clean_state_are_not_in_the_deviation(bench, made):
+    """The channel corrected what they had left, also if the sensor only falls silent."""
+    runs = [Run(bench, made, 12.0).until(4000) for _ in range(2)]
+    runs[0].until(4240, silent=('tacho',))
+    for run in runs:
+        run.until(8000).until(9500, silent=('angle',))
+        assert run.bank.run(*KEY) != '' and run.bank.ready(*KEY)
+    assert runs[0].deviation == pytest.approx(runs[1].deviation, rel=0.1)
+
+
 def test_nothing_grows_without_end(bench, made):
     run = Run(bench, made, 60.0, guard={'angle': 1.0}).until(5000)
     kept = len(run.bank._past)

@@ -13,8 +13,9 @@ from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
-from vsensor_ros.bank.free_runs import FreeRuns, Stated
+from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import Inputs, LARGEST
+from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, Told
@@ -26,15 +27,15 @@ class Flights:
     """
     The flights of the free runs of a batch. `past` is always that of the bank; times are in ns.
 
-    time_of: the time of a tick. guards: by sensor, see `Steps`. stated: how far flights drift off.
+    time_of: the time of a tick. guards: by sensor, see `Steps`.
     """
 
     def __init__(self, batch: Batch, runs: FreeRuns, spreads: Spreads, told: Inputs,
                  guards: Mapping[str, int], time_of: Callable[[int], int],
-                 stated: Stated) -> None:
+                 measured: Measured) -> None:
         """Begin with none."""
         self._batch, self._runs, self._spreads, self._told = batch, runs, spreads, told
-        self._guards, self._time_of, self._stated = guards, time_of, stated
+        self._guards, self._time_of, self._measured = guards, time_of, measured
         self._sensors = tuple(guards)
         self.reset()
 
@@ -89,8 +90,11 @@ class Flights:
 
     def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> np.ndarray:
         """Begin flights (which, at which tick), so that they are behind; return all else (R,)."""
-        begun = {i: tick for i, at in moved
-                 if (tick := self._runs.lose(i, at, past, self._stated)) is not None}
+        begun = {i: tick for i, at in moved if (
+            tick := self._runs.lose(i, at, past, self._measured.growth.stated)) is not None}
+        for i in begun:
+            if (seed := self._runs.seed(i)) is not None:
+                self._measured.take_off(i, seed.since)
         if begun:
             first = min(begun.values())
             self._tick = min(first, self._tick) if self._behind else first
