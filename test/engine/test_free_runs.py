@@ -119,6 +119,17 @@ def test_a_fault_that_the_last_rehearsal_shows_is_not_in_the_free_run(joint):
     assert m.engine._bank.started(('angle',), 'angle') < START + 3 * SECOND
 
 
+def test_while_the_sensor_is_silent_the_time_runs_already(joint):
+    m = joint().until(3.0)
+    left = m.state('angle').remaining_s
+    for _ in range(100):
+        m.k, m.now = m.k + 1, m.now + PERIOD
+        m.hear(1, float(m.y[m.k, 1]))
+        m.pass_time()
+    assert m.state('angle').source == 'silent'
+    assert m.state('angle').remaining_s == pytest.approx(left - 1.0, abs=0.1)
+
+
 def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):
     m = joint(time_constant=0.5).until(3.0)
     m.send(m.engine.force('angle'))

@@ -60,7 +60,8 @@ class Measured:
         # what gaps in the readings have left in the states (O,), when they ended last
         self._missed: np.ndarray = np.zeros(len(self._batch.keys))
         self._missed_at = 0
-        self._gaps: deque[tuple[int, np.ndarray]] = deque(maxlen=_GAPS)  # when they ended, and (O,)
+        # when they ended, and what each left (O,)
+        self._gaps: deque[tuple[int, np.ndarray]] = deque(maxlen=_GAPS)
 
     def forget(self, lost: np.ndarray, stopped: np.ndarray) -> None:
         """Forget what is not yet believed of lost sensors (L,), and of who stopped (R,) bool."""

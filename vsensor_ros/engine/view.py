@@ -139,7 +139,7 @@ class View:
             self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
             stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason),
             self._bank.deviation(key, name), self._bank.measured(key, name),
-            self._stand_in.remaining(key, name) if source in (REAL, VIRTUAL) else math.inf)
+            self._stand_in.remaining(key, name) if source != NONE else math.inf)
 
 
 def by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
