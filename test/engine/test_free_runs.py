@@ -119,6 +119,15 @@ def test_a_fault_that_the_last_rehearsal_shows_is_not_in_the_free_run(joint):
     assert m.engine._bank.started(('angle',), 'angle') < START + 3 * SECOND
 
 
+def test_why_it_does_not_serve_is_told_of_what_is_believed_now(joint):
+    m = joint().until(3.0)
+    m.isolate('angle', 'tacho')
+    m.until(3.5)
+    m.isolate('angle')
+    m.until(3.6)
+    assert m.state('angle').reason.fact('why').code != 'input isolated'  # the tacho is back
+
+
 def test_while_the_sensor_is_silent_the_time_runs_already(joint):
     m = joint().until(3.0)
     left = m.state('angle').remaining_s

@@ -288,6 +288,7 @@ class Engine:
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
                 self._bank.distrust(self._believed, self._ticks.time, self._onsets())
+                self._switch = self._switch.untold()
             self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break

@@ -191,6 +191,10 @@ class Switch:
                      for s in self.sensors}
         return replace(new, decisions=decisions)
 
+    def untold(self) -> Switch:
+        """Have the reasons found anew, for what they tell of has changed."""
+        return replace(self, told=None)
+
     def reserve(self, name: str, time: int, asked: Candidates) -> Decision:
         """Return what would be decided for a channel if it were reported faulty, too."""
         if self.forced:  # that may end then
