@@ -205,6 +205,18 @@ def test_a_long_way_to_now_is_gone_over_several_ticks_and_leads_to_the_same(
     assert said[0] == said[1]
 
 
+def test_who_serves_is_put_further_back_at_once(bench, made, monkeypatch):
+    """It took off when its channel fell silent; isolation knows of an onset before that."""
+    run = Run(bench, made, 8.0).until(3000)
+    run.until(3700, silent=('angle',))
+    monkeypatch.setattr(steps, 'AT_ONCE', 3)
+    assert run.bank.ready(*KEY) and run.bank.started(*KEY) == 2480 * MS
+    run.bank.distrust({'angle'}, onsets={'angle': 2900 * MS})
+    assert run.bank.ready(*KEY) and run.bank.started(*KEY) == 2380 * MS
+    run.until(4000, silent=('angle',))
+    assert abs(run.error) <= 3 * run.deviation
+
+
 def test_some_runs_are_stepped_as_all_are(bench, made):
     """To the last bit, be they linear, with terms, or of several kinds; rows may repeat."""
     tank = bench.tank([3.0, 1.0])

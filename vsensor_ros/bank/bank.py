@@ -8,17 +8,16 @@ from itertools import islice
 import math
 from types import MappingProxyType
 
-import numpy as np
-
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.deviations import Deviations
+from vsensor_ros.bank.estimates import Estimates
 from vsensor_ros.bank.record import Rehearsal
-from vsensor_ros.bank.serving import OUT_OF_LINE, Serving
-from vsensor_ros.bank.state import State
+from vsensor_ros.bank.serving import Serving
+from vsensor_ros.bank.state import stacked
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
 
-_FEW = 4  # outputs, of which unseen motion is worked out one by one
 INDEPENDENT, FREE = '', 'from the last good readings'  # runs
 
 
@@ -41,10 +40,15 @@ class Bank(Steps):
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
         self._of: list[int] = self._batch.of.tolist()
-        self._serving = Serving(
-            self._batch, self._runs, self._spreads, self._measured,
-            [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
-             for t in self._batch.tracked], self.period * 1e-9, self._short_way, self._widening)
+        guards = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
+                  for t in self._batch.tracked]
+        self._serving = Serving(self._batch, self._runs, self._past, guards, self.period * 1e-9,
+                                self._short_way)
+        self._deviations = Deviations(
+            self._batch, self._runs, self._spreads, self._measured, self._past,
+            self.period * 1e-9, lambda tick: self._told.ages_at(self._at(tick)), self._widening)
+        self._estimates = Estimates(self._batch, self._runs, self._serving, self._measured,
+                                    self._past, self.period * 1e-9, self.angles)
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -55,9 +59,7 @@ class Bank(Steps):
         output = self._running(fault_set, channel)
         if output is None:
             return None
-        if self._estimates is None:
-            self._estimates = self._estimates_at(self._past[-1])
-        value = float(self._estimates[output])
+        value = float(self._estimates.at(self._past[-1])[output])
         return value if math.isfinite(value) else None
 
     def recall(self, fault_set: Iterable[str], channel: str, time: int,
@@ -77,17 +79,14 @@ class Bank(Steps):
         row = self._serving.row(output)
         if not (before.running[row] and after.running[row]):
             return None
-        there = float(self._estimates_at(before)[output])
+        there = float(self._estimates.at(before)[output])
         value = there
         if rest and after is not before:
-            value += rest / self.period * (float(self._estimates_at(after)[output]) - there)
+            value += rest / self.period * (float(self._estimates.at(after)[output]) - there)
         if not math.isfinite(value):
             return None
-        deviation = self._deviation(output, row) if before is self._past[-1] else \
-            self._serving.deviation(output, row, before, float(
-                self._unseen_at(before, output)[0]))
-        return value, deviation, self._batch.interval(
-            output, self._runs.serving(before.z), before.told, self._age(output, before))
+        return value, self._deviations.of_run_at(output, row, before), self._batch.interval(
+            output, self._runs.serving(before.z), before.told, self._serving.age(output, before))
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
@@ -113,7 +112,7 @@ class Bank(Steps):
     def converging(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether it runs and could be used, but for what is left of its start yet."""
         output = self._running(fault_set, channel)
-        return output is not None and 0.0 < self._waiting(output) < math.inf \
+        return output is not None and 0.0 < self._serving.waiting(output) < math.inf \
             and self._why_invalid(output) is None
 
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
@@ -121,9 +120,8 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        running = self._past[-1].running[self._serving.row(output)]
-        alone = self._waiting(output) if running else math.inf
-        return min(alone, self._serving.until_tracked(output, self._past))
+        alone = self._serving.waiting(output) if self._serving.runs(output) else math.inf
+        return min(alone, self._serving.until_tracked(output))
 
     def warm_up(self, fault_set: Iterable[str], channel: str) -> float:
         """Return how long [s] it takes to forget its start; infinite when that is not known."""
@@ -150,15 +148,13 @@ class Bank(Steps):
         if output is None or i is None or not self._past:
             return math.inf
         if self._serving.is_free(output) and self._runs.lost(i):
-            age = self._age(output) if self._serving.flies(i, self._past) else math.inf
-            unseen = self._unseen_now(output)
+            age = self._serving.age(output) if self._serving.flies(i) else math.inf
+            unseen = self._deviations.unseen(output)
         elif self._batch.tracked[i].temporary:
             age, unseen = self._serving.guards[i], 0.0
         else:
             return math.inf
-        left = limit**2 - unseen**2
-        return 0.0 if left <= 0.0 or age == math.inf else \
-            self._measured.growth.until(i, age, math.sqrt(left))
+        return self._deviations.until(output, age, unseen, limit)
 
     def outside_region(self, fault_set: Iterable[str], channel: str) -> bool:
         """
@@ -186,15 +182,15 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        row = self._serving.row(output)
-        served = self._deviation(output, row) if self._past[-1].running[row] else math.inf
+        served = self._deviations.of_run(output, self._serving.row(output)) \
+            if self._serving.runs(output) else math.inf
         i = self._serving.tracked.get(output)
         if i is None or self._runs.lost(i):
             return served
-        followed = math.inf if self._serving.until_tracked(output, self._past) else \
-            self._widening(output) * self._measured.growth.stated(i, self._serving.guards[i])
+        followed = math.inf if self._serving.until_tracked(output) else \
+            self._deviations.if_lost(output, self._serving.guards[i])
         temporary = self._batch.tracked[i].temporary
-        if temporary or (followed < math.inf and self._waiting(output)):
+        if temporary or (followed < math.inf and self._serving.waiting(output)):
             return followed
         return min(served, followed)
 
@@ -225,7 +221,7 @@ class Bank(Steps):
             return None
         state = self._past[-1]
         return self._batch.interval(output, self._runs.serving(state.z), state.told,
-                                    self._age(output))
+                                    self._serving.age(output))
 
     def residual(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -235,7 +231,7 @@ class Bank(Steps):
         """
         output = self._output.get((frozenset(fault_set), channel))
         return None if output is None or channel not in self.sensors else \
-            self._residual(output, self._at_grid_time(channel, self._told.said(channel)))
+            self._estimates.residual(output, self._at_grid_time(channel, self._told.said(channel)))
 
     def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -252,17 +248,7 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        if self._serving.is_free(output):
-            centre, spread = 0.0, self._spread_of_free(output, last)
-        else:
-            record = self._measured.record
-            centre = float(record.centre[output])
-            spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
-        known = not math.isnan(centre)
-        value = self._residual(output, last)
-        if value is not None and abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
-            return value
-        return centre if known else None
+        return self._estimates.disagreement(output, last)
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
@@ -277,10 +263,10 @@ class Bank(Steps):
             return self._batch.left_out[key]
         output = self._output[frozenset(entry.fault_set), channel]
         i = self._serving.tracked.get(output)
-        if self._serving.until_tracked(output, self._past) == 0.0:
+        if self._serving.until_tracked(output) == 0.0:
             return self._why_invalid(output)
         if i is not None and self._batch.tracked[i].temporary and \
-                not self._serving.flies(i, self._past):
+                not self._serving.flies(i):
             return self._why_not_tracked(output, i)
         if self.estimate(entry.fault_set, channel) is not None:
             wait = self.waiting(entry.fault_set, channel)
@@ -310,7 +296,7 @@ class Bank(Steps):
             own = [self.sensors[c] for c in tracked.channels]
             isolated = lack.code == 'input isolated' and lack.fact('name') in own
             return Reason.of('not tracked yet') if isolated else lack
-        wait = self._serving.until_tracked(output, self._past)
+        wait = self._serving.until_tracked(output)
         return Reason.of('converging' if self._batch.proved[output] else 'converging, not proved',
                          seconds=wait) if 0.0 < wait < math.inf else Reason.of('about to start')
 
@@ -330,103 +316,35 @@ class Bank(Steps):
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
-    def _unseen_at(self, state: State, output: int | None = None) -> np.ndarray:
-        """Return what readings may have moved by then since their last: of one output, or (O,)."""
-        ages = self._told.ages_at(self._at(state.tick))
-        return self._measured.unseen(state.tick, ages, output)
-
-    def _unseen_now(self, output: int) -> float:
-        """Return that of an output now."""
-        if self._unseen is None and output not in self._unseen_of:
-            if len(self._unseen_of) < _FEW:
-                self._unseen_of[output] = float(self._unseen_at(self._past[-1], output)[0])
-            else:
-                self._unseen = self._unseen_at(self._past[-1])
-        return float(self._unseen_of[output] if self._unseen is None else self._unseen[output])
-
-    def _deviation(self, output: int, row: int) -> float:
-        """Return the deviation of what an output says now of one of its runs."""
-        if (output, row) not in self._deviations:
-            self._deviations[output, row] = self._serving.deviation(
-                output, row, self._past[-1], self._unseen_now(output))
-        return self._deviations[output, row]
-
     def _widening(self, output: int) -> float:
         """Return by what factor it is worse now than usual, by what healthy sensors show."""
         elsewhere = self._measured.elsewhere
         if elsewhere.told_of[output]:
             oldest = self._past[0].tick
             for first, end in elsewhere.due(oldest, self._past[-1].tick):
-                self._measured.look(*self._stacked(
-                    islice(self._past, first - oldest, end - oldest)))
+                self._measured.look(*stacked(islice(
+                    self._past, first - oldest, end - oldest)), self._heard())
         return elsewhere.widening[output]
 
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
-        return output if output is not None and self._past \
-            and self._past[-1].running[self._serving.row(output)] else None
-
-    def _age(self, output: int, state: State | None = None) -> float:
-        """Return for how long [s] the virtual sensor of an output has been running; by now."""
-        state = state or self._past[-1]
-        return float(state.tick - state.since[self._serving.row(output)]) * self.period * 1e-9
-
-    def _waiting(self, output: int) -> float:
-        """Return the time [s] until the run that serves has forgotten its start."""
-        if self._serving.is_free(output):
-            return 0.0 if self._serving.flies(
-                self._serving.tracked[output], self._past) else math.inf
-        return self._batch.waiting(output, self._past[-1].z[:self._batch.size],
-                                   self._age(output))
+        return output if output is not None and self._serving.runs(output) else None
 
     def _why_invalid(self, output: int) -> Reason | None:
         state = self._past[-1]
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
-                                   self._age(output))
-
-    def _estimates_at(self, state: State) -> np.ndarray:
-        with np.errstate(all='ignore'):
-            return self._batch.estimates(self._runs.serving(state.z), state.told.y,
-                                         state.told.held)
-
-    def _residual(self, output: int, reading: tuple[int, float] | None) -> float | None:
-        """Return reading (tick, value) - estimate then; None when that is not known any more."""
-        if reading is None or not self._past or not \
-                self._past[0].tick <= reading[0] <= self._past[-1].tick:
-            return None
-        state = self._past[reading[0] - self._past[0].tick]
-        if not state.running[self._serving.row(output)]:
-            return None
-        value = float(reading[1] - self._estimates_at(state)[output])
-        if not math.isfinite(value):
-            return None
-        angle = self.angles.get(self._batch.keys[output][1])
-        return value if angle is None else angle.shortest(value)
+                                   self._serving.age(output))
 
     # ------------------------------------------------------------------------ which run serves
 
     def advance(self, now: int) -> None:
         """Bring the state to the last grid time, see `Steps`; then choose who serves."""
         super().advance(now)
-        self._choose()
+        self._serving.choose(self._deviations)
 
     def distrust(self, names: Iterable[str], now: int | None = None,
                  onsets: Mapping[str, int] = MappingProxyType({})) -> None:
         """Take these sensors as not to be read, see `Steps`; then choose who serves."""
         super().distrust(names, now, onsets)
-        self._choose()
-
-    def _choose(self) -> None:
-        if self._runs.flights and self._past and \
-                self._serving.choose(self._past[-1], self._deviation):
-            self._estimates = None
-
-    def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
-        """Return the standard deviation of a reading (tick, value) - what a free run says."""
-        seed = self._runs.seed(self._serving.tracked[output])
-        if seed is None or reading is None:
-            return math.nan
-        age = max(0.0, (reading[0] - seed.since) * self.period * 1e-9)
-        return math.hypot(seed.spread, self._measured.growth.stated(
-            self._serving.tracked[output], age))
+        self._serving.choose(self._deviations)

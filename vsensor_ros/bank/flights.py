@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import Inputs, LARGEST
 from vsensor_ros.bank.measured import Measured
@@ -20,22 +21,25 @@ from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, Told
 
+GUARD = 0.5  # s, by default
+LONGEST_GUARD = 10.0  # s
 AT_ONCE = 120  # steps that flights are brought nearer to now between two ticks, at least
 
 
 class Flights:
     """
-    The flights of the free runs of a batch. `past` is always that of the bank; times are in ns.
+    The flights of the free runs of a batch; `past` is that of the bank. Times are in ns.
 
-    time_of: the time of a tick. guards: by sensor, see `Steps`.
+    guards: by sensor, see `guards_of`. time_of: the time of a tick.
     """
 
     def __init__(self, batch: Batch, runs: FreeRuns, spreads: Spreads, told: Inputs,
-                 guards: Mapping[str, int], time_of: Callable[[int], int],
+                 past: deque[State], guards: Mapping[str, int], time_of: Callable[[int], int],
                  measured: Measured) -> None:
         """Begin with none."""
         self._batch, self._runs, self._spreads, self._told = batch, runs, spreads, told
-        self._guards, self._time_of, self._measured = guards, time_of, measured
+        self._past, self._guards, self._time_of = past, guards, time_of
+        self._measured = measured
         self._sensors = tuple(guards)
         self.reset()
 
@@ -43,19 +47,22 @@ class Flights:
         """Forget all."""
         self._behind: tuple[int, ...] = ()  # who is not known by now yet
         self._tick = 0  # but by then
+        self._at_once = False  # they must be, whatever that costs
 
     def behind(self, i: int) -> bool:
         """Tell whether a flight has not been brought to now yet."""
         return i in self._behind
 
-    def lose(self, past: deque[State], lost: Collection[str], gone: np.ndarray, now: int,
+    def lose(self, lost: Collection[str], gone: np.ndarray, now: int | None,
              onsets: Mapping[str, int]) -> np.ndarray:
         """
         Let those take off whose trackers read what is lost, (L + m,) bool, and end who read it.
 
-        now: the time, and onsets of those lost that began before it. Return who goes on as before
-        (R,): `stop` all others, then `catch_up`.
+        now: the time, by default that of the state, and onsets of those lost that began before
+        it. Return who goes on as before (R,): `stop` all others, then `catch_up`.
         """
+        if now is None:
+            now = self._time_of(self._past[-1].tick)
         reads = self._batch.starts_on
         moved = []
         for i, tracked in enumerate(self._runs.tracked):
@@ -67,14 +74,14 @@ class Flights:
                 tick = self._clean(i, began)
                 if not self._runs.goes_on(i, tick):
                     moved.append((i, tick))
-        return self._take_off(moved, past) & ~reads[:, gone].any(axis=1)
+        return self._take_off(moved) & ~reads[:, gone].any(axis=1)
 
-    def follow(self, past: deque[State]) -> None:
+    def follow(self) -> None:
         """Let those take off whose trackers have stopped: their channels are silent."""
-        now = self._time_of(past[-1].tick)
-        gone = self._runs.stopped(past[-1])
+        gone = self._runs.stopped(self._past[-1])
         if gone:
-            stop(past, self._take_off([(i, self._clean(i, now)) for i in gone], past))
+            now = self._time_of(self._past[-1].tick)
+            stop(self._past, self._take_off([(i, self._clean(i, now)) for i in gone]))
 
     def _clean(self, i: int, time: int) -> int:
         """Return the last tick of a tracker that a fault does not reach: see `distrust`."""
@@ -88,10 +95,13 @@ class Flights:
         zero, period = self._time_of(0), self._time_of(1) - self._time_of(0)
         return (found - zero) // period
 
-    def _take_off(self, moved: Collection[tuple[int, int]], past: deque[State]) -> np.ndarray:
+    def _take_off(self, moved: Collection[tuple[int, int]]) -> np.ndarray:
         """Begin flights (which, at which tick), so that they are behind; return all else (R,)."""
-        begun = {i: tick for i, at in moved if (
-            tick := self._runs.lose(i, at, past, self._measured.growth.stated)) is not None}
+        # who serves already must not stop
+        self._at_once = self._at_once or any(
+            self._runs.seed(i) is not None and i not in self._behind for i, _ in moved)
+        begun = {i: tick for i, at in moved if (tick := self._runs.lose(
+            i, at, self._past, self._measured.growth.stated)) is not None}
         for i in begun:
             if (seed := self._runs.seed(i)) is not None:
                 self._measured.take_off(i, seed.since)
@@ -108,14 +118,16 @@ class Flights:
         if tick <= self._tick:
             self._behind = ()
 
-    def catch_up(self, past: deque[State], most: int) -> None:
-        """Bring those that are behind nearer to now, by so many steps at most."""
+    def catch_up(self, most: int) -> None:
+        """Bring those that are behind nearer to now, by so many steps at most, mostly."""
+        past = self._past
         behind = tuple(i for i in self._behind if self._runs.seed(i) is not None)
         self._behind = behind
         if not behind:
             return
         at = self._tick - past[0].tick
-        end = min(at + most, len(past) - 1)
+        end = len(past) - 1 if self._at_once else min(at + most, len(past) - 1)
+        self._at_once = False
         past[at] = self._placed(past[at])
         with np.errstate(all='ignore'):
             while at < end:
@@ -160,3 +172,15 @@ def stop(states: deque[State] | list[State], stay: np.ndarray,
                 read[id(told.there)] = told.there & there
             told = Told(told.y, read[id(told.there)], told.held)
         states[at] = State(tick, z, running[id(runs)], since, restarts, outside, told, spread)
+
+
+def guards_of(sensors: tuple[str, ...], given: Mapping[str, float]) -> dict[str, int]:
+    """Return the guard of each sensor in ns, GUARD for those not given; raises BadInput."""
+    for name, guard in given.items():
+        if name not in sensors:
+            raise BadInput('', 'guard', f'{name} is no sensor',
+                           f'name one of {", ".join(sensors)}')
+        if not 0.0 <= guard <= LONGEST_GUARD:
+            raise BadInput('', 'guard', f'{guard} is not a time in s up to {LONGEST_GUARD:g}',
+                           'give one')
+    return {name: round(given.get(name, GUARD) * 1e9) for name in sensors}

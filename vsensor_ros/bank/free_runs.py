@@ -80,6 +80,10 @@ class FreeRuns:
         """Tell whether one has lost its tracker, and has not got it back."""
         return bool(self._lost[i])
 
+    def is_fresh(self, i: int) -> bool:
+        """Tell whether it was not chosen yet who serves."""
+        return i in self._fresh
+
     def waiting(self, i: int, state: State, guard: float) -> float:
         """Return the time [s] until its tracker is ready to be lost; inf: it does not run."""
         row = self._trackers[i]

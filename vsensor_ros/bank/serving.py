@@ -1,5 +1,5 @@
 """
-Which run of each virtual sensor serves, and how sure what it says is.
+Which run of each virtual sensor serves.
 
 While its channels are believed that is its own run. Afterwards it may be the free run, which goes
 on from their last good readings: of the two the one with the smaller deviation.
@@ -8,34 +8,33 @@ on from their last good readings: of the two the one with the smaller deviation.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 import math
 
 import numpy as np
 
 from vsensor_ros.bank.angle import ShortWay
+from vsensor_ros.bank.deviations import Deviations
 from vsensor_ros.bank.free_runs import FreeRuns
-from vsensor_ros.bank.measured import Measured
-from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch
 
+AT_A_TICK = 4  # flights of which it is looked at a tick who serves, but for new ones
 OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
 
 
 class Serving:
     """
-    Who serves for each output of a batch.
+    Who serves for each output of a batch now; `past` is that of the bank.
 
     guards (T,): the longest guard [s] of each tracked one. period [s] of the grid. short_way: of
-    residuals (.., O) that wrap. widening: by what factor an output is worse now than usual.
+    residuals (.., O) that wrap.
     """
 
-    def __init__(self, batch: Batch, runs: FreeRuns, spreads: Spreads, measured: Measured,
-                 guards: list[float], period: float, short_way: ShortWay,
-                 widening: Callable[[int], float]) -> None:
-        self._batch, self._runs, self._spreads, self._measured = batch, runs, spreads, measured
-        self.guards, self._period, self._widening = guards, period, widening
+    def __init__(self, batch: Batch, runs: FreeRuns, past: deque[State], guards: Sequence[float],
+                 period: float, short_way: ShortWay) -> None:
+        self._batch, self._runs, self._past = batch, runs, past
+        self.guards, self._period = guards, period
         self._of: list[int] = batch.of.tolist()
         tracked = {t.own: i for i, t in enumerate(batch.tracked)}
         # by output: which of the tracked it is of
@@ -50,67 +49,66 @@ class Serving:
         """Return the run that serves for an output."""
         return int(self._runs.rows[self._of[output]])
 
+    def runs(self, output: int) -> bool:
+        """Tell whether that runs now."""
+        return bool(self._past and self._past[-1].running[self.row(output)])
+
+    def age(self, output: int, state: State | None = None) -> float:
+        """Return for how long [s] it has been running at a state; by now."""
+        state = state or self._past[-1]
+        return float(state.tick - state.since[self.row(output)]) * self._period
+
     def is_free(self, output: int) -> bool:
-        """Tell whether that is a free run."""
+        """Tell whether it is a free run."""
         i = self.tracked.get(output)
         return i is not None and self.row(output) == self._batch.tracked[i].free
 
-    def flies(self, i: int, past: deque[State]) -> bool:
+    def flies(self, i: int) -> bool:
         """Tell whether a free run goes on now without its channels."""
         return self._runs.seed(i) is not None and bool(
-            past and past[-1].running[self._batch.tracked[i].free])
+            self._past and self._past[-1].running[self._batch.tracked[i].free])
 
-    def until_tracked(self, output: int, past: deque[State]) -> float:
+    def waiting(self, output: int) -> float:
+        """Return the time [s] until the run that serves has forgotten its start."""
+        if self.is_free(output):
+            return 0.0 if self.flies(self.tracked[output]) else math.inf
+        return self._batch.waiting(output, self._past[-1].z[:self._batch.size], self.age(output))
+
+    def until_tracked(self, output: int) -> float:
         """Return the time [s] until there is a free run if the channels are lost then."""
         i = self.tracked.get(output)
-        if i is None or not past or self._runs.lost(i):
+        if i is None or not self._past or self._runs.lost(i):
             return math.inf
-        return self._runs.waiting(i, past[-1], self.guards[i])
+        return self._runs.waiting(i, self._past[-1], self.guards[i])
 
-    def deviation(self, output: int, row: int, state: State, unseen: float) -> float:
-        """Return the deviation of what an output says of one of its runs; unseen: a part of it."""
-        age = float(state.tick - state.since[row]) * self._period
-        i, wider = self.tracked.get(output), self._widening(output)
-        if i is not None and row == self._batch.tracked[i].free:
-            # what the model errs more now reaches it in time as much as the independent run
-            more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
-                math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen, more, wider * max(
-                self._measured.growth.stated(i, age), self._spreads.deviation(i, state)))
-        else:
-            found = math.hypot(
-                wider * self._measured.base[output], unseen, self._batch.deviation(
-                    output, state.z[:self._batch.size], state.told, age))
-        return math.inf if math.isnan(found) else found
+    def choose(self, deviations: Deviations) -> None:
+        """Let the run with the smaller deviation serve."""
+        if not self._runs.flights or not self._past:
+            return
+        state, turns = self._past[-1], -(-len(self._runs.flights) // AT_A_TICK)
+        for at, i in enumerate(self._runs.flights):
+            if self._batch.tracked[i].temporary:
+                continue
+            for output in self._outputs[i]:
+                # of many some at a time: they grow slowly. But who is new, or has stopped, at once
+                if (at + state.tick) % turns == 0 or self._runs.is_fresh(i) or \
+                        not self.runs(output):
+                    self._choose(i, output, state, deviations)
 
-    def choose(self, state: State, deviation: Callable[[int, int], float]) -> bool:
-        """
-        Let the run with the smaller deviation serve; tell whether another one does now.
-
-        deviation: that of an output of a run, at this state.
-        """
-        changed = False
-        for i in self._runs.flights:
-            if not self._batch.tracked[i].temporary:
-                for output in self._outputs[i]:
-                    changed |= self._choose(i, output, state, deviation)
-        return changed
-
-    def _choose(self, i: int, output: int, state: State,
-                deviation: Callable[[int, int], float]) -> bool:
+    def _choose(self, i: int, output: int, state: State, deviations: Deviations) -> None:
         own, free = self._of[output], self._batch.tracked[i].free
         alone = freely = math.inf
         age = float(state.tick - state.since[own]) * self._period
         if state.running[own] and not self._batch.waiting(
                 output, state.z[:self._batch.size], age):
             # it knows no more of where it is than the free run, that its terms bend as much
-            alone = max(deviation(output, own), self._spreads.deviation(i, state))
+            alone = max(deviations.of_run(output, own), deviations.along(i, state))
         if state.running[free]:
-            freely = deviation(output, free)
-        proven = self._measured.record.proven(output)
+            freely = deviations.of_run(output, free)
+        proven = deviations.proven(output)
         agree = not proven or max(alone, freely) == math.inf or \
             self._apart(output, own, free, state) <= OUT_OF_LINE * math.hypot(alone, freely)
-        return self._runs.choose(i, alone, freely, proven, agree)
+        self._runs.choose(i, alone, freely, proven, agree)
 
     def _apart(self, output: int, own: int, free: int, state: State) -> float:
         """Return by how much the independent and the free run of a tracked one differ now."""

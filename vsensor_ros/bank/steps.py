@@ -20,20 +20,18 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
-from vsensor_ros.bank.flights import AT_ONCE, Flights, stop
+from vsensor_ros.bank.flights import AT_ONCE, Flights, guards_of, stop
 from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
+from vsensor_ros.bank.late import Late
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.readings import Samples
 from vsensor_ros.bank.spread import Spreads
-from vsensor_ros.bank.state import State
+from vsensor_ros.bank.state import stacked, State
 from vsensor_ros.observers import Design, Told
 from vsensor_ros.reason import Reason
 
 _LONGEST = 1000  # steps that can be taken back, at most
-GUARD = 0.5  # s, by default
-LONGEST_GUARD = 10.0  # s
-_REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
 
 
 class Steps:
@@ -80,7 +78,7 @@ class Steps:
         Cu = design.Cu if design.sample_time is None else None
         Cu = Cu if Cu is not None and Cu.any() else None
         self._batch = batch_of(design, self.period * 1e-9, Cu)
-        self._guards = _guards(design.sensors, guard)
+        self._guards = guards_of(design.sensors, guard)
         turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
         self._short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
         self._runs = FreeRuns(self._batch, self.period * 1e-9, self._short_way)
@@ -97,10 +95,11 @@ class Steps:
         self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
                             command_ends, 3 * self.period, design.wrap)
         self.angles = self._told.angles  # by sensor that wraps
-        self._measured = Measured(self._batch, ages, self.period, Cu,
-                                  self._short_way)
-        self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._guards,
-                                self._at, self._measured)
+        self._past: deque[State] = deque()
+        self._late = Late(self._span)
+        self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
+        self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
+                                self._guards, self._at, self._measured)
         # who lacks what there was last: (L + m,) bool, and (R,) those that stop, or cannot start
         self._lack = self._told.everything, ~self._everyone, ~self._everyone
         # what was not used, but of isolated sensors, by channel and reason
@@ -119,21 +118,12 @@ class Steps:
         self._restart()
 
     def _restart(self) -> None:
-        self._past: deque[State] = deque()
+        self._past.clear()
         self._settled: list[State] = []  # from before the past, for the record
         self._measured.restart()
         self._runs.reset()
         self._flights.reset()
-        self._redo: int | None = None  # the last index that late data leaves as it was
-        self._credit = self._span  # steps that may be redone now
-        self._change()
-
-    def _change(self) -> None:
-        """Forget what was worked out of the last state."""
-        self._estimates: np.ndarray | None = None  # (O,) now, once they were asked for
-        self._unseen: np.ndarray | None = None  # (O,) now, once many were asked for
-        self._unseen_of: dict[int, float] = {}  # now, of the few that were, by output
-        self._deviations: dict[tuple[int, int], float] = {}  # now, by output and run, likewise
+        self._late.reset()
 
     @property
     def time(self) -> int | None:
@@ -168,8 +158,7 @@ class Steps:
         if self._past and before < self._past[0].tick and name in self._told.ages and \
                 stamp + self._told.ages[name] < self._at(self._past[0].tick):
             return None  # too old to count for any state that can be redone
-        if self._redo is None or before < self._redo:
-            self._redo = before
+        self._late.note(before)
         return None
 
     def spoil(self, name: str, time: int) -> None:
@@ -197,8 +186,7 @@ class Steps:
             self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
         gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
         if lost and self._past:
-            found = self._at(self._past[-1].tick) if now is None else now
-            stay = self._flights.lose(self._past, lost, gone, found, onsets)
+            stay = self._flights.lose(lost, gone, now, onsets)
         if self._now is not None:  # it may be trusted at any time before the next step
             now = max(self._now, now or self._now) + self.period - 1
         self._told.distrust(names, now)
@@ -208,8 +196,7 @@ class Steps:
             stop(self._settled, ~stopped, ~gone)
             if self._past:
                 stop(self._past, stay, ~gone)
-                self._flights.catch_up(self._past, AT_ONCE)
-            self._change()
+                self._flights.catch_up(AT_ONCE)
         self._measured.all_trusted = not names
 
     def silent(self, name: str, now: int) -> bool:
@@ -255,7 +242,10 @@ class Steps:
         if self._past and last - self._past[-1].tick > self._jump:
             self._restart()
             self.jumps['forwards'] += 1
-        self._take_back(last)
+        if not self._past:
+            self._late.forget()
+        elif steps := self._late.due(self._past[0].tick, self._past[-1].tick, last):
+            self._drop_after(self._past[-1].tick - steps)
         if self._past and self._past[-1].tick >= last:
             return
         steps = last - self._past[-1].tick if self._past else 0
@@ -270,9 +260,8 @@ class Steps:
                 self._past.append(self._next(self._past[-1]))
         if self._runs.tracked and not (
                 self._runs.steady and self._past[-1].running is self._everyone):
-            self._flights.follow(self._past)
-            self._flights.catch_up(self._past, AT_ONCE + steps)
-        self._change()
+            self._flights.follow()
+            self._flights.catch_up(AT_ONCE + steps)
         while self._past[0].tick < last - self._kept:
             self._settled.append(self._past.popleft())
         if len(self._settled) >= self._measured.record.block:
@@ -280,33 +269,16 @@ class Steps:
 
     def step_back(self, to: int) -> int:
         """Forget the states after a time [ns], to step them anew; return the time of the last."""
-        while len(self._past) > 1 and self._at(self._past[-1].tick) > to:
-            self._past.pop()
-        self._flights.taken_back(self._past[-1].tick)
+        first = self._past[0].tick
+        self._drop_after(max(first, (to - self._at(0)) // self.period))
         last = self._at(self._past[-1].tick)
         self._now = min(to, last)
-        self._change()
         return last
 
-    def _take_back(self, last: int) -> None:
-        """Drop the states that late data changes; wait with it when that is often and far."""
-        if not self._past:
-            self._redo = None
-            return
-        newest = self._past[-1].tick
-        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
-        if self._redo is None:
-            return
-        steps = newest - max(self._redo, self._past[0].tick, newest - self._span)
-        if steps > self._credit:
-            return
-        self._redo = None
-        if steps > 0:
-            self._credit -= steps
-            while self._past[-1].tick > newest - steps:
-                self._past.pop()
-            self._flights.taken_back(newest - steps)
-            self._change()
+    def _drop_after(self, tick: int) -> None:
+        while self._past[-1].tick > tick:
+            self._past.pop()
+        self._flights.taken_back(self._past[-1].tick)
 
     def _at(self, tick: int) -> int:
         assert self._origin is not None
@@ -385,26 +357,10 @@ class Steps:
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""
         states, self._settled = self._settled, []
-        self._measured.add(*self._stacked(states), self._past[-1].tick)
+        self._measured.add(*stacked(states), self._heard(), self._past[-1].tick)
         self._told.forget(self._at(self._past[0].tick))
 
-    def _stacked(self, states: Iterable[State]) -> tuple[
-            np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
-        """Return ticks, z, running, since, told of states, and the tick of each last reading."""
-        ticks, z, running, since, _, _, told, _ = zip(*states)
-        heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
-                          for stamp in self._told.last_stamps()], dtype=int)
-        return (np.array(ticks), np.array(z), np.array(running), np.array(since),
-                Told(*map(np.array, zip(*told))), heard)
-
-
-def _guards(sensors: tuple[str, ...], given: Mapping[str, float]) -> dict[str, int]:
-    """Return the guard of each sensor in ns; raises BadInput."""
-    for name, guard in given.items():
-        if name not in sensors:
-            raise BadInput('', 'guard', f'{name} is no sensor',
-                           f'name one of {", ".join(sensors)}')
-        if not 0.0 <= guard <= LONGEST_GUARD:
-            raise BadInput('', 'guard', f'{guard} is not a time in s up to {LONGEST_GUARD:g}',
-                           'give one')
-    return {name: round(given.get(name, GUARD) * 1e9) for name in sensors}
+    def _heard(self) -> np.ndarray:
+        """Return the tick of the last reading of each sensor (L,); -1: there is none."""
+        return np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
+                         for stamp in self._told.last_stamps()], dtype=int)
