@@ -76,6 +76,8 @@ SENTENCES: dict[str, Sentence] = {
     'no limit': 'it would serve for a time only, and no limit says for how long',
     'worse than designed': 'it erred by {measured:.3g} beside the healthy sensor, more than '
     '{limit:.3g}: it was designed for {figure:.3g}',
+    'not clearly good': 'its standard deviation was beyond the limit; it serves again below '
+    '{limit:.3g}, now it is {deviation:.3g}',
     # of faulty sensors: why they are not believed
     'silent': 'silent',
     'recovering': 'healthy again, believed after {dwell:g} s without a fault',

@@ -11,7 +11,15 @@ import pytest
 sys.path.append(str(Path(__file__).parent))
 from machine import Machine, PERIOD, SECOND
 
-from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
+from vsensor_ros.engine import (
+    CannotServe,
+    Engine,
+    IsolationReport,
+    Live,
+    Policy,
+    Setup,
+    StreamPlan,
+)
 from vsensor_ros.observers import Noise
 
 START = 1000 * SECOND
@@ -91,11 +99,44 @@ def test_lost_after_three_seconds_it_counts_down_and_ends(joint):
 
 @pytest.mark.parametrize(('told', 'clean'), [(False, False), (True, True)])
 def test_a_known_onset_goes_before_the_guard(joint, told, clean):
-    m = joint().until(3.0)
+    m = joint()
+    m.engine._bank._runs._begins = frozenset({320})  # no rehearsal is older than the fault
+    m.until(3.0)
     m.until(3.8, lambda t: 0.5)  # sticks, and is isolated late
     m.isolate('angle', since=START + 3 * SECOND if told else 0)
     m.until(4.3, lambda t: 0.5)
     assert (abs(m.error()) <= 3 * m.state('angle').deviation) == clean
+
+
+def test_a_fault_that_the_last_rehearsal_shows_is_not_in_the_free_run(joint):
+    """It sticks for longer than the guard, and nobody says since when."""
+    m = joint().until(3.0)
+    m.until(3.8, lambda t: 0.5)
+    m.isolate('angle')
+    m.until(4.3, lambda t: 0.5)
+    y = m.state('angle')
+    assert y.source == 'virtual' and abs(m.error()) <= 3 * y.deviation < 0.006
+    assert m.engine._bank.started(('angle',), 'angle') < START + 3 * SECOND
+
+
+def test_why_it_does_not_serve_is_told_of_what_is_believed_now(joint):
+    m = joint().until(3.0)
+    m.isolate('angle', 'tacho')
+    m.until(3.5)
+    m.isolate('angle')
+    m.until(3.6)
+    assert m.state('angle').reason.fact('why').code != 'input isolated'  # the tacho is back
+
+
+def test_while_the_sensor_is_silent_the_time_runs_already(joint):
+    m = joint().until(3.0)
+    left = m.state('angle').remaining_s
+    for _ in range(100):
+        m.k, m.now = m.k + 1, m.now + PERIOD
+        m.hear(1, float(m.y[m.k, 1]))
+        m.pass_time()
+    assert m.state('angle').source == 'silent'
+    assert m.state('angle').remaining_s == pytest.approx(left - 1.0, abs=0.1)
 
 
 def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):
@@ -108,6 +149,16 @@ def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):
     times = [round((c.time - START) / PERIOD) for c in m.sent]
     errors = values - m.x[times, 0]
     assert abs(errors[0]) < 4 * 0.0005 and np.abs(np.diff(errors)).max() < 0.0005
+
+
+def test_one_that_no_limit_ends_is_not_forced(joint):
+    m = joint(limit=0.0).until(3.0)
+    with pytest.raises(CannotServe, match='^angle: cannot be forced; .* no limit says'):
+        m.engine.force('angle')
+    assert m.state('angle').source == 'real' and not m.state('angle').forced
+    m.engine.apply(replace(m.setup.live, max_deviation={'angle': 0.002, 'tacho': 0.0}))
+    m.send(m.engine.force('angle'))
+    assert m.state('angle').source == 'virtual'
 
 
 def test_when_another_run_is_the_surer_the_output_does_not_step(bench):

@@ -2,8 +2,13 @@
 
 from dataclasses import replace
 import math
+from pathlib import Path
+import sys
 
 import pytest
+
+sys.path.append(str(Path(__file__).parent))
+from machine import Machine, PERIOD
 
 from vsensor_ros.engine.limits import Limits
 from vsensor_ros.observers.knowledge import Noise
@@ -13,10 +18,10 @@ from vsensor_ros.observers.knowledge import Noise
 def exceeded(bench):
     """Return a function that judges an estimate whose design's figure is 0.01."""
     def exceeded(deviation, measured=math.nan, given=None, grows=False, assumed=False,
-                 figure=0.01, **more):
+                 figure=0.01, share=1.0, **more):
         v = bench.virtual_sensor([[-1.0]], [[1.0]], noise=Noise(figure, figure, assumed))
         limits = Limits(replace(bench.design(v), **more), {'y1': given, 'y2': None})
-        reason = limits.exceeded(v, 'y1', deviation, lambda: measured, grows)
+        reason = limits.exceeded(v, 'y1', deviation, lambda: measured, grows, share)
         return '' if reason is None else str(reason)
     return exceeded
 
@@ -64,3 +69,37 @@ def test_a_temporary_one_needs_a_limit(exceeded, given):
     assert judged(0.001) == 'it would serve for a time only, and no limit says for how long'
     assert exceeded(0.001, given=0.1, grows=True) == ''
     assert exceeded(0.2, given=0.1, grows=True, **RANGE) != ''
+
+
+@pytest.mark.parametrize('share', [1.0, 0.8])
+def test_a_share_of_each_limit(exceeded, share):
+    for limits, at in (({'given': 0.5}, 0.5), (RANGE, 0.3), (TOLERANCE, 0.5)):
+        assert exceeded(0.99 * share * at, share=share, **limits) == ''
+        assert exceeded(1.01 * share * at, share=share, **limits) != ''
+    assert exceeded(0.099 * share, measured=1.0, share=share) == ''
+    assert exceeded(0.101 * share, measured=1.0, share=share) != ''
+
+
+def test_a_deviation_that_comes_and_goes_about_its_limit_does_not_whip_the_output(bench):
+    """The other sensor pauses now and then: what it may have moved by is above the limit."""
+    m, k = Machine(bench, max_deviation={'y1': 0.0, 'y2': 0.2}), 0
+
+    def go_on(periods, every):
+        nonlocal k
+        for _ in range(periods):
+            k, m.now = k + 1, m.now + PERIOD
+            y1 = math.sin(0.05 * k)
+            if k % every == 0:
+                m.hear(0, y1)
+            m.hear(1, 2.0 * y1)
+            m.pass_time()
+    go_on(1000, every=1)
+    m.isolate('y2')
+    assert m.state('y2').deviation < 0.1
+    for _ in range(10):
+        go_on(20, every=8)
+        assert m.state('y2').source == 'none'
+        go_on(20, every=1)
+    assert m.state('y2').switches == 2
+    go_on(40, every=1)
+    assert m.state('y2').source == 'virtual' and m.state('y2').switches == 3

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from vsensor_ros.engine import Decision, Policy, Source, Switch
+from vsensor_ros.engine import CannotServe, Decision, Policy, Source, Switch
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
@@ -39,6 +39,7 @@ class Run:
 
     def __init__(self, design, **policies):
         self.switch, self.now, self.unready = Switch.of(design, policies), 0.0, {}
+        self.close = ()  # to their limits
         self.deviations, self.converging = {}, ()  # of 1 those not named; by deviation, too
         self.switches = [0] * len(NAMES)  # how often each channel was given to another
         self._served = self._servers()
@@ -72,6 +73,10 @@ class Run:
             return Reason.of('converging', seconds=1.5)
         return (lack := self.unready.get(f'{"".join(key)}/{s}')) and Reason.of(
             'refused', text=lack)
+
+    def why_not_again(self, key, s):
+        return self.why_not(key, s) or (f'{"".join(key)}/{s}' in self.close or None) and \
+            Reason.of('refused', text='close to its limit')
 
     @property
     def shown(self):
@@ -250,6 +255,24 @@ def test_none_until_ready_and_again_when_readiness_is_lost(build):
     assert run.decide(0.1) == ['a', '', ''] and run.switches == [4, 0, 0]
 
 
+@pytest.mark.parametrize('dwell', [0.0, 0.3])
+def test_who_is_good_enough_by_turns_does_not_whip_the_output(build, dwell):
+    run = Run(build('a/a'), a=Policy(dwell=dwell))
+    run.isolate('a')
+    for _ in range(50):
+        run.unready = {'a/a': 'too uncertain'}
+        run.decide(0.2)
+        run.unready = {}
+        run.decide(0.2)
+    assert run.shown == ['!', '', ''] and run.switches == [2, 0, 0]
+    run.close = ('a/a',)
+    assert run.decide(60.0) == ['!', '', ''] and run.why('a') == 'close to its limit'
+    run.close = ()
+    assert run.decide(1.0) == ['!', '', '']
+    assert run.why('a') == 'ready again for 0.0 s, serves after 0.5 s'
+    assert run.decide(0.5) == ['a', '', ''] and run.switches == [3, 0, 0]
+
+
 def test_who_never_served_in_this_fault_serves_at_once(build):
     run = Run(build('a/a ab/a'))
     run.isolate('a')
@@ -393,6 +416,24 @@ def test_a_force_that_no_virtual_sensor_could_serve_is_refused(build):
         run.force('a')  # b is not believed yet
     run.decide(3.0)
     assert run.force('a') == ['ac', '', '!']  # c has none either way
+
+
+def test_a_force_that_would_wait_for_ever_is_refused(build):
+    run, forever = Run(build('a/a ab/a b/b c/c ac/a ac/c')), Reason('no limit')
+
+    def force(*never):
+        run.switch.force('a', 0, lambda key, s:
+                         forever if f'{"".join(key)}/{s}' in never else None)
+    run.unready = {'a/a': 'converging'}
+    force('a/a', 'ac/a')  # ab/a may serve yet
+    with pytest.raises(CannotServe, match='^a: cannot be forced; nobody could speak for a without '
+                       'a: it would serve for a time only, and no limit says for how long$') as e:
+        force('a/a', 'ab/a', 'ac/a')
+    assert (e.value.channel, e.value.reason) == ('a', forever)
+    run.isolate('c')
+    with pytest.raises(CannotServe, match='nobody could speak for c without a, c: '):
+        force('ac/c')
+    force('c/c', 'ac/c')  # c has none either way
 
 
 def test_a_force_that_would_take_the_virtual_sensor_of_another_is_refused(build):

@@ -158,6 +158,8 @@ def test_from_no_source_back_to_a_virtual_one(rig, parameters):
     assert r.told()['y2'].source == 'none'
     assert r.values(heard)[-1] == 1.5  # the last estimate, not the last reading
     r.step(*r.healthy(y1=0.25), periods=5)
+    assert 'ready again' in r.why('y2')
+    r.step(*r.healthy(y1=0.25), periods=50)
     r.spin()
     assert r.told()['y2'].source == 'virtual' and r.values(heard)[-1] == 0.5
 

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 import sys
 
@@ -11,6 +12,15 @@ from managed_rig import machines
 @pytest.fixture
 def machine(parameters):
     yield from machines(parameters)
+
+
+@pytest.fixture
+def for_a_time(parameters, plan, bench, tmp_path):
+    path = tmp_path / 'for_a_time.json'
+    replace(plan, sensors=('y1', 'y2'), inputs=(), entries={
+        (('y1',), 'y1'): bench.encoder(rate=100.0, names=('y1', 'y2'))}).save(path)
+    yield from machines({key: value for key, value in parameters.items()
+                         if 'y3' not in key and 'u1' not in key} | {'design_file': str(path)})
 
 
 @pytest.fixture
@@ -55,6 +65,18 @@ def test_force_and_release(running):
     success, message = ask(m, 'y3/force', data=True)
     assert not success and message.startswith('y3: cannot be forced')
     assert source(m, 'y3') == 'real'
+
+
+def test_a_force_that_would_wait_for_ever_is_refused_with_the_mend(for_a_time):
+    """Its virtual sensor is one for a time, and no limit says for how long."""
+    m = for_a_time()
+    m.drive()
+    assert m.spin_until(lambda: m.node.replacer and ready(m, 'y1'))
+    assert ask(m, 'y1/force', data=True) == (False, (
+        'y1: cannot be forced; nobody could speak for y1 without y1: it would serve for a time '
+        'only, and no limit says for how long; give a tolerance or ranges in the plant file, or '
+        'sensors.y1.max_deviation'))
+    assert not state(m, 'y1').forced
 
 
 def test_clear_gives_a_held_one_back_but_no_faulty_one(running):

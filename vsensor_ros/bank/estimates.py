@@ -76,5 +76,5 @@ class Estimates:
         seed = self._runs.seed(i)
         if seed is None or reading is None:
             return math.nan
-        age = max(0.0, (reading[0] - seed.tick) * self._period)
+        age = max(0.0, (reading[0] - seed.since) * self._period)
         return math.hypot(seed.spread, self._measured.growth.stated(i, age))

@@ -16,6 +16,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import Inputs, LARGEST
+from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch, Told
@@ -34,10 +35,11 @@ class Flights:
 
     def __init__(self, batch: Batch, runs: FreeRuns, spreads: Spreads, told: Inputs,
                  past: deque[State], guards: Mapping[str, int], time_of: Callable[[int], int],
-                 ) -> None:
+                 measured: Measured) -> None:
         """Begin with none."""
         self._batch, self._runs, self._spreads, self._told = batch, runs, spreads, told
         self._past, self._guards, self._time_of = past, guards, time_of
+        self._measured = measured
         self._sensors = tuple(guards)
         self.reset()
 
@@ -98,8 +100,11 @@ class Flights:
         # who serves already must not stop
         self._at_once = self._at_once or any(
             self._runs.seed(i) is not None and i not in self._behind for i, _ in moved)
-        begun = {i: tick for i, at in moved
-                 if (tick := self._runs.lose(i, at, self._past)) is not None}
+        begun = {i: tick for i, at in moved if (tick := self._runs.lose(
+            i, at, self._past, self._measured.growth.stated)) is not None}
+        for i in begun:
+            if (seed := self._runs.seed(i)) is not None:
+                self._measured.take_off(i, seed.since)
         if begun:
             first = min(begun.values())
             self._tick = min(first, self._tick) if self._behind else first

@@ -8,7 +8,7 @@ state from before the fault, and goes on from there without the channels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -21,8 +21,13 @@ from vsensor_ros.reason import Reason
 
 AGES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # s at which rehearsals are compared with the channel
 _LONGER = 3  # one rehearsal in so many goes on to the next age
+_OUT_OF_LINE = 4.0  # standard deviations: so far nothing drifts by chance
 _BETTER = 0.8  # of the deviation of the run that serves: with less another one takes over
 _INNOVATIONS = 100  # states of a tracker that are looked at, at most
+
+
+# the standard deviation of what a free run says, at an age [s]
+Stated = Callable[[int, float], float]
 
 
 class Seed(NamedTuple):
@@ -30,6 +35,7 @@ class Seed(NamedTuple):
 
     tick: int
     z: np.ndarray  # (k,)
+    since: int  # tick since which it has not read the channels
     spread: float  # rms of reading - estimate of the tracker before; NaN when not known
 
 
@@ -95,7 +101,7 @@ class FreeRuns:
         """Return a state in which those free runs stand anew that begin there."""
         new = self._begun_at(state.tick) if self.flights else {}
         if state.tick % self._cycle in self._begins:
-            new.update((i, state.z[self._trackers[i]])
+            new.update((i, (state.z[self._trackers[i]], state.tick))
                        for i in np.flatnonzero(self._good(state)).tolist() if not self.lost(i))
         return self._placed(state, new) if new else state
 
@@ -104,14 +110,15 @@ class FreeRuns:
         new = self._begun_at(state.tick)
         return self._placed(state, new) if new else state
 
-    def _begun_at(self, tick: int) -> dict[int, np.ndarray]:
-        return {i: seed.z for i in self.flights
+    def _begun_at(self, tick: int) -> dict[int, tuple[np.ndarray, int]]:
+        return {i: (seed.z, seed.since) for i in self.flights
                 if (seed := self._seeds[i]) is not None and seed.tick == tick}
 
-    def _placed(self, state: State, new: dict[int, np.ndarray]) -> State:
+    def _placed(self, state: State, new: dict[int, tuple[np.ndarray, int]]) -> State:
         rows = self.free[list(new)]
         z, since, running = state.z.copy(), state.since.copy(), state.running.copy()
-        z[rows], since[rows], running[rows] = list(new.values()), state.tick, True
+        z[rows], since[rows] = ([at[n] for at in new.values()] for n in range(2))
+        running[rows] = True
         return state._replace(z=z, since=since, running=running)
 
     def stopped(self, state: State) -> list[int]:
@@ -184,11 +191,13 @@ class FreeRuns:
         seed = self._seeds[i]
         return seed is not None and seed.tick <= tick
 
-    def lose(self, i: int, tick: int, past: Sequence[State]) -> int | None:
+    def lose(self, i: int, tick: int, past: Sequence[State], stated: Stated) -> int | None:
         """
         Let one go on from the state at a tick, which is from before the fault.
 
-        Return that tick, where it must be put; None: it cannot go on, see `why`.
+        Where its rehearsal is further from the tracker than it can have drifted off, the fault
+        began since the rehearsal did: then that goes on instead. Return the tick, where it must be
+        put; None: it cannot go on, see `why`.
         """
         followed = bool(self._followed[i])
         self._land(i)
@@ -204,8 +213,11 @@ class FreeRuns:
         if tick < first or not self._good(state)[i]:
             self._set(i, None, Reason.of('not tracked yet'))
             return None
-        row = self._trackers[i]
-        self._set(i, Seed(tick, state.z[row].copy(), self._spread(i, tick, past)), None)
+        row, since = self._trackers[i], tick
+        if self._is_out_of_line(i, state, stated):
+            row = self.free[i]
+            since = int(state.since[row])
+        self._set(i, Seed(tick, state.z[row].copy(), since, self._spread(i, since, past)), None)
         self._fresh.add(i)
         self.steady = False
         return tick
@@ -214,6 +226,19 @@ class FreeRuns:
         """Let one end that has read what is lost."""
         self._land(i)
         self._followed[i] = self.steady = False
+
+    def _is_out_of_line(self, i: int, state: State, stated: Stated) -> bool:
+        """Tell whether the tracker differs from the rehearsal by more than that has drifted."""
+        free, own = self.free[i], self.tracked[i].own
+        age = float(state.tick - state.since[free]) * self._period
+        if not state.running[free] or not age or self._batch.bent(i) is not None:
+            return False  # what bends an error by the way says more than an age does
+        output = int(np.flatnonzero(self._batch.of == own)[0])
+        said, rehearsed = (self._batch.estimate(
+            output, state.z[row], state.told.y, state.told.held)
+            for row in (self._trackers[i], free))
+        apart = self._short_way.of([output])(np.array([said - rehearsed]))
+        return bool(abs(apart[0]) > _OUT_OF_LINE * stated(i, age))
 
     def _spread(self, i: int, tick: int, past: Sequence[State]) -> float:
         """Return the rms of the innovations of a tracker up to a tick; NaN when there is none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 import math
 
@@ -13,6 +14,7 @@ from vsensor_ros.bank.record import Record
 from vsensor_ros.bank.rehearsal import Growth
 from vsensor_ros.observers import Batch, Told
 
+_GAPS = 100  # that are remembered
 _GAP = 3  # times the usual interval of a reading: what was missed then shows afterwards
 
 
@@ -58,6 +60,8 @@ class Measured:
         # what gaps in the readings have left in the states (O,), when they ended last
         self._missed: np.ndarray = np.zeros(len(self._batch.keys))
         self._missed_at = 0
+        # when they ended, and what each left (O,)
+        self._gaps: deque[tuple[int, np.ndarray]] = deque(maxlen=_GAPS)
 
     def forget(self, lost: np.ndarray, stopped: np.ndarray) -> None:
         """Forget what is not yet believed of lost sensors (L,), and of who stopped (R,) bool."""
@@ -66,7 +70,6 @@ class Measured:
         self.record.forget(outputs, lost)
         self.elsewhere.forget(outputs)
         self.growth.forget(np.array([stopped[t.tracker] for t in self._batch.tracked], dtype=bool))
-        self._missed = np.where(self._stays, 0.0, self._missed)  # a free run begins anew
 
     def add(self, ticks: np.ndarray, z: np.ndarray, running: np.ndarray, since: np.ndarray,
             told: Told, heard: np.ndarray, newest: int) -> None:
@@ -137,6 +140,14 @@ class Measured:
             with np.errstate(all='ignore'):
                 more = self._batch.reach(slopes, ages, False)
             self._missed, self._missed_at = np.hypot(self._left_of_gaps(tick), more), tick
+            self._gaps.append((tick, more))
+
+    def take_off(self, i: int, since: int) -> None:
+        """Note that a free run has gone on since a tick: what gaps have left since then stays."""
+        of = self._stays & (self._batch.of == self._batch.tracked[i].own)
+        left = np.sqrt(sum((more**2 for at, more in self._gaps if at > since),
+                           np.zeros(len(of))))
+        self._missed = np.where(of, left, self._missed)
 
     def _left_of_gaps(self, tick: int) -> np.ndarray:
         """Return what gaps have left in the states (O,): it dies out as they do."""

@@ -97,9 +97,9 @@ class Steps:
         self.angles = self._told.angles  # by sensor that wraps
         self._past: deque[State] = deque()
         self._late = Late(self._span)
-        self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
-                                self._guards, self._at)
         self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
+        self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
+                                self._guards, self._at, self._measured)
         # who lacks what there was last: (L + m,) bool, and (R,) those that stop, or cannot start
         self._lack = self._told.everything, ~self._everyone, ~self._everyone
         # what was not used, but of isolated sensors, by channel and reason

@@ -2,6 +2,7 @@
 
 from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.commands import CommandState
+from vsensor_ros.engine.decision import CannotServe, Decision, Source
 from vsensor_ros.engine.engine import Engine
 from vsensor_ros.engine.events import (
     ANYBODYS,
@@ -14,13 +15,15 @@ from vsensor_ros.engine.events import (
     Substitute,
     together,
 )
+from vsensor_ros.engine.policy import Policy
 from vsensor_ros.engine.settings import Live, Setup, StreamPlan
 from vsensor_ros.engine.state import ChannelState, EngineState
-from vsensor_ros.engine.switch import Decision, Policy, Source, Switch
+from vsensor_ros.engine.switch import Switch
 
 __all__ = [
     'ANYBODYS',
     'Bumpless',
+    'CannotServe',
     'ChannelState',
     'CommandState',
     'Composition',

@@ -12,7 +12,7 @@ import math
 
 from vsensor_ros.bank import Angle
 from vsensor_ros.engine.bumpless import Bumpless
-from vsensor_ros.engine.switch import Decision, Source
+from vsensor_ros.engine.decision import Decision, Source
 from vsensor_ros.reason import Reason
 
 REAL, SILENT, VIRTUAL = 'real', 'silent', 'virtual'

@@ -7,7 +7,7 @@ superset of the faulty sensors may serve, for they read none of these.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 import math
 from typing import Protocol
@@ -16,6 +16,9 @@ from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 FaultSet = tuple[str, ...]  # in the design's order
+
+# why a virtual sensor (fault set, channel) cannot serve, however long one waits; None: it may
+Never = Callable[[FaultSet, str], Reason | None]
 
 BETTER = 0.8  # of the deviation of who serves: another's is at most that, and it takes over
 WHILE = 500_000_000  # ns for which it must be so, if it has been ready without being better
@@ -37,6 +40,9 @@ class Candidates(Protocol):
     def why_not(self, fault_set: FaultSet, channel: str) -> Reason | None:
         """Return why it is not ready; None: it is."""
 
+    def why_not_again(self, fault_set: FaultSet, channel: str) -> Reason | None:
+        """Return why it is not so clearly good enough that it may come back; None: it is."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -49,9 +55,9 @@ class Choice:
     noise in the deviations does not whip the output. One that still converges may take over from
     one that is ready, too: what is ready first may only be so noisy that it has nothing to forget.
 
-    Whoever was given up during a fault, because it was no longer good enough, must first be ready
-    for a dwell without interruption; a temporary one has served its time until the channel is
-    believed again.
+    Whoever was given up during a fault, because it was no longer good enough, must first be
+    clearly so again, for a dwell and at least a WHILE without interruption; a temporary one has
+    served its time until the channel is believed again.
     """
 
     # by channel: the fault sets that it has a virtual sensor for, the smallest first
@@ -122,7 +128,7 @@ class Choice:
 
     def given_up(self, faulty: frozenset[str], serving: Mapping[str, FaultSet],
                  dwells: Mapping[str, int], time: int, asked: Candidates) -> Choice:
-        """Note who may serve no longer, until it has been ready again for the dwell [ns]."""
+        """Note who may serve no longer, until it was clearly good again for the dwell [ns]."""
         found: dict[str, dict[FaultSet, int | None]] = {}
         for channel in (*self.lost, *(s for s in serving if s not in self.lost)):
             keys = {key: self._again(key, channel, since, time, asked)
@@ -132,14 +138,14 @@ class Choice:
                     not (asked.ready(present, channel) or asked.converges(present, channel)):
                 keys[present] = None
             keys = {key: since for key, since in keys.items()
-                    if since is None or time - since < dwells[channel]}
+                    if since is None or time - since < max(dwells[channel], WHILE)}
             if keys:
                 found[channel] = keys
         return self if found == self.lost else replace(self, lost=found)
 
     def _again(self, key: FaultSet, channel: str, since: int | None, time: int,
                asked: Candidates) -> int | None:
-        if (key, channel) in self.temporary or not asked.ready(key, channel):
+        if (key, channel) in self.temporary or asked.why_not_again(key, channel) is not None:
             return None
         return time if since is None else since
 
@@ -172,6 +178,10 @@ class Choice:
         lost, rivals = ({s: {key: None if t is None else min(t, time) for key, t in keys.items()}
                          for s, keys in what.items()} for what in (self.lost, self.rivals))
         return replace(self, lost=lost, rivals=rivals)
+
+
+def perhaps(fault_set: FaultSet, channel: str) -> None:
+    """Know of no virtual sensor that it can never serve."""
 
 
 def _takes_over(key: FaultSet, present: FaultSet, channel: str, asked: Candidates) -> bool:

@@ -9,18 +9,16 @@ are events: each is a call, with plain data as its arguments. Messages to be mad
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
-import math
+from collections.abc import Callable, Iterator
 import traceback
 from types import MappingProxyType
-from typing import Any
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine.bumpless import Bumpless
-from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
+from vsensor_ros.engine.channel import Channel
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.commands import Commands
+from vsensor_ros.engine.decision import Source
 from vsensor_ros.engine.events import (
     Composition,
     Forward,
@@ -33,11 +31,11 @@ from vsensor_ros.engine.events import (
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.settings import Live, Setup
 from vsensor_ros.engine.stand_in import StandIn
-from vsensor_ros.engine.state import ChannelState, EngineState, stopped
+from vsensor_ros.engine.state import EngineState, stopped
 from vsensor_ros.engine.stream import Stream, UNREADABLE
-from vsensor_ros.engine.switch import Decision, Source, Switch
+from vsensor_ros.engine.switch import Switch
 from vsensor_ros.engine.ticks import Ticks
-from vsensor_ros.observers import Refusal
+from vsensor_ros.engine.view import by_channel, View
 from vsensor_ros.reason import Reason
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
@@ -78,6 +76,7 @@ class Engine:
         self._turned = False  # a decision has changed
         self._looked = 0  # when it was seen last what the channels are
         self._seen: list[tuple[str, int]] = []  # and what they were, with the switches
+        self._view = View(setup.design, self._bank, self._clock, self._streams, self._stand_in)
         self._watch()
 
     @property
@@ -199,8 +198,9 @@ class Engine:
         return self._command(lambda time: self._switch.isolate(reported, time))
 
     def force(self, name: str) -> Messages:
-        """Treat a sensor as faulty until released; raises ValueError, one line, and KeyError."""
-        return self._command(lambda time: self._switch.force(name, time))
+        """Treat a sensor as faulty until released; raises CannotServe and KeyError."""
+        return self._command(
+            lambda time: self._switch.force(name, time, self._stand_in.never))
 
     def release(self, name: str) -> Messages:
         """End the force on a sensor; raises KeyError."""
@@ -268,15 +268,15 @@ class Engine:
         names = self._switch.faulty | self._switch.forced
         if not names:
             return None
-        return min((stream.lag(name) for stream in self._streams for name in stream.names
+        return min((stream.composer.lag(name) for stream in self._streams for name in stream.names
                     if name in names), default=None)
 
     def _silence(self) -> None:
         """Tell the switch who has fallen silent, of those whose silence counts."""
         before = self._switch.silent
         silent = frozenset(
-            name for name, stream in self._watched if not stream.fresh(name)
-            and (stream.heard(name) or name in before))
+            name for name, stream in self._watched if not stream.heard.fresh(name)
+            and (stream.heard.ever(name) or name in before))
         if silent != before:
             self._switch = self._switch.silence(silent, self._clock.lasting())
 
@@ -288,6 +288,7 @@ class Engine:
             if self._switch.faulty != self._believed:
                 self._believed = self._switch.faulty
                 self._bank.distrust(self._believed, self._ticks.time, self._onsets())
+                self._switch = self._switch.untold()
             self._switch = self._switch.decide(self._clock.lasting(), self._stand_in)
             if self._switch.faulty == self._believed:
                 break
@@ -346,14 +347,8 @@ class Engine:
         if not self._turned and 0 <= self._clock.now - self._looked < LOOK:
             return False
         self._turned, self._looked = False, self._clock.now
-        seen = [(self._is(stream, channel)[0], channel.switches)
-                for stream in self._streams for channel in stream.channels]
-        before, self._seen = self._seen, seen
-        return seen != before
-
-    def _is(self, stream: Stream, channel: Channel) -> tuple[str, Reason | None]:
-        return channel.state(self._switch.decisions[channel.name],
-                             stream.why_silent(channel.name), stream.why_odd(channel.name))
+        before, self._seen = self._seen, self._view.sources(self._switch)
+        return self._seen != before
 
     def reserve(self, name: str) -> tuple[tuple[str, ...], float] | None:
         """
@@ -361,18 +356,9 @@ class Engine:
 
         That is the fault set of a virtual sensor, and its standard deviation [unit of the sensor].
         """
-        would = self._reserve(name)
+        would = self._view.would(self._switch, name)
         return None if would.source is not Source.VIRTUAL else \
             (would.fault_set, self._bank.deviation(would.fault_set, name))
-
-    def _reserve(self, name: str) -> Decision:
-        return self._switch.reserve(name, self._clock.lasting(), self._stand_in)
-
-    def _who_would(self, name: str, would: Decision) -> tuple[str, ...] | None:
-        """Return whose virtual sensor would serve, or comes nearest to that; None: nobody's."""
-        if would.source is Source.VIRTUAL:
-            return would.fault_set
-        return next(iter(self._switch.choice.candidates(self._switch.faulty | {name}, name)), None)
 
     @property
     def state_time(self) -> int | None:
@@ -381,23 +367,11 @@ class Engine:
 
     def reserves(self) -> list[Reserve]:
         """Return what could be said in place of each healthy sensor, at `state_time`."""
-        found, time = [], self._bank.time
-        for name in (name for stream in self._streams if stream.active for name in stream.names):
-            if name in self._switch.faulty:
-                continue
-            would = self._reserve(name)
-            key = self._who_would(name, would)
-            said = None if key is None or time is None else self._bank.recall(key, name, time)
-            if said is not None:
-                channel, reading = self._channels[name], self._bank.beside(name)
-                reading = math.nan if reading is None else channel.as_said(reading)
-                found.append(Reserve(name, reading, channel.as_said(said[0], near=reading),
-                                     said[1], would.source is Source.VIRTUAL))
-        return found
+        return self._view.reserves(self._switch)
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""
-        return any(stream.heard(name) for stream in self._streams for name in stream.names)
+        return any(stream.heard.ever(name) for stream in self._streams for name in stream.names)
 
     def snapshot(self, steady: float) -> EngineState:
         """
@@ -407,78 +381,11 @@ class Engine:
         that may be some ticks ago.
         """
         still = steady - self._moved if self._clock.simulated else 0.0
-        faulty = tuple(s for s in self._design.sensors if s in self._switch.faulty)
-        counts = _by_channel(self._intake.counts().items())
-        outside = _by_channel(((name, key), n) for (key, name), n in
-                              self._bank.outside_domain.items())
-        restarts = _by_channel(((name, key), n) for (key, name), n in
-                               self._bank.restarts.items())
+        counts = by_channel(self._intake.counts().items())
         return EngineState(
-            tuple(replace(self._state(stream, channel, faulty, stopped(still)),
-                          outside_domain=sum(outside.get(channel.name, {}).values()),
-                          restarts=sum(restarts.get(channel.name, {}).values()),
-                          counts=MappingProxyType(counts.get(channel.name, {})))
-                  for stream in self._streams for channel in stream.channels),
-            faulty, tuple(s for s in self._design.sensors if s in self._knows),
+            self._view.channels(self._switch, self._isolated, counts, stopped(still)),
+            tuple(s for s in self._design.sensors if s in self._switch.faulty),
+            tuple(s for s in self._design.sensors if s in self._knows),
             self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             MappingProxyType(dict(self._clock.jumps)),
             self._starts + sum(self._bank.jumps.values()), still, self._commands.states(counts))
-
-    def _residual(self, name: str, fault_set: tuple[str, ...]) -> float:
-        """Return the last reading of a faulty sensor - its estimate; NaN when not known."""
-        known = self._bank.residual(fault_set, name) if name in self._switch.faulty else None
-        return math.nan if known is None else known
-
-    def _state(self, stream: Stream, channel: Channel, faulty: tuple[str, ...],
-               standstill: Reason | None) -> ChannelState:
-        name, lasting = channel.name, self._clock.lasting()
-        decision = self._switch.decisions[name]
-        source, reason = self._is(stream, channel)
-        fault_set, serves, value, deviation, interval = faulty, None, channel.value, math.inf, None
-        if standstill is not None and (
-                source == VIRTUAL or source == REAL and stream.composes(name)):
-            source, value = NONE, math.nan  # for nothing is composed meanwhile
-            reason = Reason.of('instead', why=standstill, instead=Reason('stop'))
-        elif source == VIRTUAL:
-            fault_set = decision.fault_set
-            entry = self._bank.entry(fault_set, name)
-            serves = None if isinstance(entry, Refusal) else entry
-            deviation = self._bank.deviation(fault_set, name)
-            interval = channel.beside(self._bank.interval(fault_set, name),
-                                      self._bank.estimate(fault_set, name), lasting)
-        elif source == NONE:
-            value = math.nan
-        else:
-            deviation = 0.0
-            if stream.plain:
-                value = stream.latest(name)
-        if decision.source is not Source.REAL and (silence := stream.driver_silence(name)):
-            reason = silence if reason is None else \
-                Reason.of('both', first=reason, second=silence)
-        recovering, would = self._switch.recovering.get(name), self._reserve(name)
-        reserve = fault_set if serves is not None else self._who_would(name, would)
-        key = reserve or (name,)
-        return ChannelState(
-            name, stream.plan.output, self._design.units.get(name, ''), source, reason, fault_set,
-            '' if serves is None else serves.grade, value, deviation, interval,
-            channel.blend.left(lasting), channel.switches, channel.blend.step,
-            _seconds(channel.since, lasting), channel.virtual_time(lasting) * 1e-9,
-            name in self._switch.forced, _seconds(self._isolated.get(name), lasting),
-            _seconds(recovering, lasting), self._residual(name, key), serves,
-            self._bank.outside_region(key, name), 0, 0, {}, channel.readings,
-            stream.never_seen or (None if would.source is Source.VIRTUAL else would.reason),
-            self._bank.deviation(key, name), self._bank.measured(key, name),
-            self._stand_in.remaining(key, name) if source in (REAL, VIRTUAL) else math.inf)
-
-
-def _by_channel(counts: Iterable[tuple[tuple[str, Any], int]]) -> dict[str, dict[Any, int]]:
-    """Return what was counted of what, by channel."""
-    found: dict[str, dict[Any, int]] = {}
-    for (name, what), count in counts:
-        found.setdefault(name, {})[what] = count
-    return found
-
-
-def _seconds(since: int | None, now: int) -> float:
-    """Return what has passed since a time [ns] in s; NaN since none."""
-    return math.nan if since is None else (now - since) * 1e-9

@@ -74,7 +74,7 @@ class Intake:
                 if stamp:
                     self._feed(channel, stamp, value, now)
             elif not message.foreign and not (
-                    is_absent(value) and stream.fresh(channel.name)):
+                    is_absent(value) and stream.heard.fresh(channel.name)):
                 assert isinstance(value, Reason)  # no other driver sends it, either
                 self.count(channel.name, value)
 

@@ -30,16 +30,19 @@ class Limits:
     given: Mapping[str, float | None]  # by sensor, in its unit; 0: no limit; None: those above
 
     def exceeded(self, entry: Entry, channel: str, deviation: float,
-                 measured: Callable[[], float], grows: bool = False) -> Reason | None:
+                 measured: Callable[[], float], grows: bool = False,
+                 share: float = 1.0) -> Reason | None:
         """
         Return why the estimate of a channel is not good enough, or None when it is.
 
         deviation: of the estimate now, inf when not known. measured: returns its rms error while
-        the sensor was healthy, NaN when not known. grows: its deviation is bound to.
+        the sensor was healthy, NaN when not known. grows: its deviation is bound to. share: of the
+        limits that it must be within.
         """
         limit = self.largest(channel, grows)
         if limit is None:
             return Reason('no limit')
+        limit *= share
         # where the design sets the limit, what is not known is not beyond it
         if deviation > limit and (deviation < math.inf or grows
                                   or self.given[channel]):
@@ -48,7 +51,7 @@ class Limits:
             return Reason.of(code, deviation=deviation, limit=limit)
         if self.given[channel] is not None or grows:
             return None
-        return self._unlike(entry, channel, deviation, measured)
+        return self._unlike(entry, channel, deviation, measured, share)
 
     def largest(self, channel: str, grows: bool) -> float | None:
         """Return the largest deviation with which it serves; inf: any; None: with none."""
@@ -59,7 +62,7 @@ class Limits:
         return limit if limit is not None or grows else math.inf
 
     def _unlike(self, entry: Entry, channel: str, deviation: float,
-                measured: Callable[[], float]) -> Reason | None:
+                measured: Callable[[], float], share: float) -> Reason | None:
         """
         Return that it is far worse than designed.
 
@@ -70,7 +73,7 @@ class Limits:
         if entry.noise is None or entry.noise.assumed or not entry.noise.error:
             return None
         low, high = self.design.ranges.get(channel, (0.0, 0.0))
-        limit = max(TIMES * entry.noise.error, SHARE * (high - low))
+        limit = share * max(TIMES * entry.noise.error, SHARE * (high - low))
         if deviation > limit and (found := measured()) > limit:
             return Reason.of('worse than designed', measured=found, limit=limit,
                              figure=entry.noise.error)

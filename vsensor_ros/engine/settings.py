@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from vsensor_ros.bank import End
-from vsensor_ros.engine.switch import Policy
+from vsensor_ros.engine.policy import Policy
 from vsensor_ros.observers import Design
 
 

@@ -7,12 +7,13 @@ import math
 
 from vsensor_ros.bank import Bank
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
+from vsensor_ros.engine.choice import BETTER
 from vsensor_ros.engine.clock import Clock
+from vsensor_ros.engine.decision import Decision, Source
 from vsensor_ros.engine.events import Composition, Substitute
 from vsensor_ros.engine.limits import Limits
 from vsensor_ros.engine.settings import Live
 from vsensor_ros.engine.stream import Stream
-from vsensor_ros.engine.switch import Decision, Source
 from vsensor_ros.engine.wanted import Wanted
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
@@ -62,6 +63,24 @@ class StandIn:
         reason = self._bank.why_not(fault_set, name)
         return self._exceeded(fault_set, name) if reason is None else self._told_apart(reason)
 
+    def why_not_again(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
+        """Return why one that was given up is not clearly good enough by now; None: it is."""
+        reason = self.why_not(fault_set, name)
+        if reason is None and (close := self._exceeded(fault_set, name, BETTER)) is not None:
+            reason = Reason.of('not clearly good', limit=close.fact('limit'),
+                               deviation=self.deviation(fault_set, name))
+        return reason
+
+    def never(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
+        """Return why a virtual sensor cannot serve, however long one waits; None: it may."""
+        if self._bank.warm_up(fault_set, name) == math.inf:
+            lack = self._bank.why_not(fault_set, name)
+            return lack if lack is not None and lack.code == 'several rows' else \
+                Reason('start unknown')
+        if self._limits.largest(name, self._bank.grows(fault_set, name)) is None:
+            return Reason('no limit')
+        return None
+
     def remaining(self, fault_set: tuple[str, ...], name: str) -> float:
         """Return how long [s] a virtual sensor is good enough yet; inf: its end is not to come."""
         entry = self._bank.entry(fault_set, name)
@@ -70,8 +89,9 @@ class StandIn:
         limit = self._limits.largest(name, self._bank.grows(fault_set, name))
         return math.inf if limit is None else self._bank.remaining(fault_set, name, limit)
 
-    def _exceeded(self, fault_set: tuple[str, ...], name: str) -> Reason | None:
-        """Return why an estimate is not good enough, or None when it is."""
+    def _exceeded(self, fault_set: tuple[str, ...], name: str,
+                  share: float = 1.0) -> Reason | None:
+        """Return why an estimate is not within a share of its limits, or None when it is."""
         entry = self._bank.entry(fault_set, name)
         if entry is None or isinstance(entry, Refusal):
             return None
@@ -80,7 +100,7 @@ class StandIn:
             found = self._bank.measured(fault_set, name)
             return math.nan if found is None else found.error
         return self._limits.exceeded(entry, name, self._bank.deviation(fault_set, name), measured,
-                                     self._bank.grows(fault_set, name))
+                                     self._bank.grows(fault_set, name), share)
 
     def _told_apart(self, reason: Reason) -> Reason:
         """Tell an input that is silent from one whose stamps are of another clock."""
@@ -88,13 +108,13 @@ class StandIn:
             return reason
         name = reason.fact('name')
         stream = self._stream_of(name)
-        silence = None if stream is None else stream.silence(name)
+        silence = None if stream is None else stream.heard.silence(name)
         if stream is None or silence is None:
             return reason
         ahead = stream.ahead(name) * 1e-9
         if abs(ahead) < LATE and reason.code == 'input silent':  # nothing of it went out, say
             ahead = silence * 1e-9 - reason.fact('seconds')
-        if not stream.fresh(name):
+        if not stream.heard.fresh(name):
             return Reason.of('input silent', name=name, seconds=silence * 1e-9)
         if abs(ahead) < LATE:
             return reason
@@ -172,7 +192,7 @@ class StandIn:
 
     def sent(self, stream: Stream, composition: Composition) -> None:
         """Note that a message went out."""
-        stream.sent(composition)
+        stream.composer.sent(composition)
         for i, field in composition.fields:
             if not isinstance(field, Substitute):
                 continue
@@ -186,7 +206,7 @@ class StandIn:
 
     def failed(self, stream: Stream, composition: Composition, trouble: Reason) -> None:
         """Note that a message cannot be made, so that its channels have no source."""
-        stream.trouble([stream.names[i] for i, _ in composition.fields], trouble)
+        stream.composer.trouble([stream.names[i] for i, _ in composition.fields], trouble)
         for i, field in composition.fields:
             if isinstance(field, Substitute):
                 _note(stream.channels[i], trouble)

@@ -10,56 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
-import math
 
-from vsensor_ros.engine.choice import Candidates, Choice, FaultSet
+from vsensor_ros.engine.choice import (
+    Candidates,
+    Choice,
+    FaultSet,
+    Never,
+    perhaps,
+    WHILE,
+)
+from vsensor_ros.engine.decision import CannotServe, Decision, Source
 from vsensor_ros.engine.limits import BEYOND
+from vsensor_ros.engine.policy import complete, Policy, RECOVERY
 from vsensor_ros.observers import Design, Refusal
 from vsensor_ros.reason import Reason
 
 _TOLD = 1_000_000_000  # ns between two looks at the reasons: what they say of times grows old
-_RECOVERY = {'automatic': 'recovering', 'hold': 'held', 'latched': 'latched'}  # reasons' codes
-
-
-class Source(Enum):
-    """Where a channel's values come from."""
-
-    REAL = 'real'
-    VIRTUAL = 'virtual'
-    NONE = 'none'
-
-
 _REAL: tuple[Source, FaultSet] = (Source.REAL, ())
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Who serves one channel, and why not another."""
-
-    source: Source
-    fault_set: FaultSet = ()  # of the virtual sensor that serves
-    reason: Reason | None = None
-
-
-@dataclass(frozen=True)
-class Policy:
-    """
-    What one sensor must do to be believed again after a fault.
-
-    'automatic': be healthy for the dwell; 'hold': be cleared, too; 'latched': all are reset.
-    Raises ValueError, one line.
-    """
-
-    recovery: str = 'automatic'
-    dwell: float = 2.0  # s of health without interruption before it is believed; 0: none
-    silent_is_faulty: bool = False
-
-    def __post_init__(self) -> None:
-        if self.recovery not in _RECOVERY:
-            raise ValueError(f'recovery: {self.recovery!r} is none of {", ".join(_RECOVERY)}')
-        if not (math.isfinite(self.dwell) and self.dwell >= 0.0):
-            raise ValueError(f'dwell: {self.dwell} is not a time in s; give 0 or more')
 
 
 @dataclass(frozen=True)
@@ -90,7 +57,7 @@ class Switch:
     @classmethod
     def of(cls, design: Design, policies: Mapping[str, Policy] | None = None) -> Switch:
         """Begin with all sensors healthy; those that have no policy get the default one."""
-        return cls(design, _complete(design, policies or {}),
+        return cls(design, complete(design, policies or {}),
                    dict.fromkeys(design.sensors, Decision(Source.REAL)), Choice.of(design))
 
     @property
@@ -115,26 +82,28 @@ class Switch:
         silent = self._known(names)
         return self if silent == self.silent else self._report(time, self.reported, silent)
 
-    def force(self, name: str, time: int) -> Switch:
+    def force(self, name: str, time: int, never: Never = perhaps) -> Switch:
         """
         Treat a sensor as faulty until it is released, as soon as that does no harm.
 
         A force is for tests and maintenance, so it never makes anything worse: the sensor goes on
         until a virtual one is ready, and the force ends by itself when that is lost, or when it
-        leaves a sensor that did fail without a virtual one. Raises ValueError, one line, when no
-        virtual sensor could ever serve with the present faults; KeyError if unknown.
+        leaves a sensor that did fail without a virtual one. never: tells why a virtual sensor
+        cannot serve, however long one waits. Raises CannotServe when none could ever serve with
+        the present faults; KeyError if unknown.
         """
         self._known((name,))
         if name in self.forced:
             return self
         others = self.failed | self.recovering.keys() | self.forced
         for channel in (name, *(s for s in self.sensors if s in others)):
-            left = self.choice.candidates(others | {name}, channel)
-            if left or (channel != name and not self.choice.candidates(others, channel)):
+            left = {key: never(key, channel)
+                    for key in self.choice.candidates(others | {name}, channel)}
+            if None in left.values() or (channel != name and all(
+                    never(key, channel) for key in self.choice.candidates(others, channel))):
                 continue
-            failed = ', '.join(s for s in self.sensors if s in others | {name})
-            raise ValueError(f'{name}: cannot be forced; no virtual sensor is designed that '
-                             f'could speak for {channel} without {failed}')
+            failed = tuple(s for s in self.sensors if s in others | {name})
+            raise CannotServe(name, channel, failed, next(iter(left.values()), None))
         return replace(self, forced=self.forced | {name}, told=None)
 
     def release(self, name: str, time: int) -> Switch:
@@ -178,7 +147,7 @@ class Switch:
 
     def with_policies(self, policies: Mapping[str, Policy]) -> Switch:
         """Change the policies, for sensors that recover now, too; KeyError if one is unknown."""
-        policies = _complete(self.design, policies)
+        policies = complete(self.design, policies)
         if policies == self.policies:
             return self
         new = replace(self, policies=policies, told=None)
@@ -222,13 +191,17 @@ class Switch:
                      for s in self.sensors}
         return replace(new, decisions=decisions)
 
+    def untold(self) -> Switch:
+        """Have the reasons found anew, for what they tell of has changed."""
+        return replace(self, told=None)
+
     def reserve(self, name: str, time: int, asked: Candidates) -> Decision:
         """Return what would be decided for a channel if it were reported faulty, too."""
         if self.forced:  # that may end then
             would = replace(self.isolate(self.reported | {name}, time), told=None)
             return would.decide(time, asked).decisions[name]
         faulty = self.faulty | {name}
-        failing = replace(self, faulty=faulty, reported=self.reported | {name})
+        failing = replace(self, faulty=faulty, reported=self.reported | {name}, latest=time)
         source, fault_set = failing._server(name, faulty, time, asked)
         return Decision(source, fault_set, None if source is Source.VIRTUAL else
                         failing._lack(name, faulty, asked))
@@ -357,12 +330,14 @@ class Switch:
         lost, why = self.choice.lost.get(name, {}), asked.why_not(fault_set, name)
         if (again := lost.get(fault_set)) is not None:
             return Reason.of('ready again', seconds=(self.latest - again) * 1e-9,
-                             dwell=self.policies[name].dwell)
+                             dwell=max(self.policies[name].dwell, WHILE * 1e-9))
         if fault_set in lost and (fault_set, name) in self.choice.temporary:
             if why is None:
                 return Reason('had its time')
             if why.code in BEYOND:
                 return Reason.of('served its time', why=why)
+        if fault_set in lost and why is None:
+            why = asked.why_not_again(fault_set, name)
         return why or Reason.of('less sure', fault_set=fault_set,
                                 deviation=asked.deviation(fault_set, name))
 
@@ -374,12 +349,5 @@ class Switch:
             return Reason('silent')
         if name in self.recovering:
             policy = self.policies[name]
-            return Reason.of(_RECOVERY[policy.recovery], dwell=policy.dwell)
+            return Reason.of(RECOVERY[policy.recovery], dwell=policy.dwell)
         return Reason('forced')
-
-
-def _complete(design: Design, policies: Mapping[str, Policy]) -> dict[str, Policy]:
-    unknown = sorted(set(policies).difference(design.sensors))
-    if unknown:
-        raise KeyError(f'{", ".join(unknown)}: no such sensor')
-    return {s: policies.get(s, Policy()) for s in design.sensors}

@@ -74,12 +74,18 @@ def without_reserve(name: str, reserve: Reason, origins: Mapping[str, Origin]) -
     """Say why nobody could speak for a sensor if it failed, and what to do about it."""
     if (hope := chance(reserve)) is Chance.NEVER:
         return [f'cannot be replaced ({reserve})']
-    parts = [f'could not be replaced now ({reserve})']
-    for reason in _leaves(reserve) if hope is Chance.MEND else ():
-        if reason.code in _RAISED:
-            parts.append(_RAISED[reason.code].format(f'sensors.{name}.max_deviation'))
-        elif (origin := origins.get(dict(reason.facts).get('name', ''))) is not None:
-            parts.append(_mend(origin, reason.code in _NEVER_HEARD))
+    return [f'could not be replaced now ({reserve})',
+            *(mends(name, reserve, origins) if hope is Chance.MEND else ())]
+
+
+def mends(name: str, reason: Reason, origins: Mapping[str, Origin]) -> list[str]:
+    """Say what to do about what keeps a virtual sensor of a sensor from serving."""
+    parts = []
+    for leaf in _leaves(reason):
+        if leaf.code in _RAISED:
+            parts.append(_RAISED[leaf.code].format(f'sensors.{name}.max_deviation'))
+        elif (origin := origins.get(dict(leaf.facts).get('name', ''))) is not None:
+            parts.append(_mend(origin, leaf.code in _NEVER_HEARD))
     return list(dict.fromkeys(parts))
 
 

@@ -15,7 +15,9 @@ from rclpy.node import Node
 from rclpy.service import Service
 from std_srvs.srv import SetBool, Trigger
 
+from vsensor_ros.engine import CannotServe
 from vsensor_ros.node.replacer import Replacer
+from vsensor_ros.node.reserve import mends
 
 # one for all: rclpy holds each line of code that throttles to the clock it had first
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
@@ -36,6 +38,9 @@ def offer(node: Node, replacer: Replacer, is_active: Callable[[], bool]) -> tupl
             with replacer.lock:
                 act()
                 response.success, response.message = True, done()
+        except CannotServe as error:
+            mend = [] if error.reason is None else mends(error.channel, error.reason, {})
+            response.success, response.message = False, '; '.join([str(error), *mend])
         except ValueError as error:
             response.success, response.message = False, str(error)
         node.get_logger().info(f'asked by service: {response.message}',
