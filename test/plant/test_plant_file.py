@@ -197,6 +197,11 @@ def test_noise_and_range_of_a_state(tmp_path):
     assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3]]
     plain = load_plant(written(tmp_path, TANK))
     assert np.isnan(plain.process_noise).all() and np.isinf(plain.ranges).all()
+    assert np.isinf(plain.input_range).all() and np.isinf(plain.disturbance_range).all()
+    driven = load_plant(written(tmp_path, TANK.replace('operating: 0.5', 'range: [0, b]').replace(
+        'leak: {', 'leak: {range: [null, 1], ')))
+    assert driven.input_range.tolist() == [[0, 2]]
+    assert driven.disturbance_range.tolist() == [[-np.inf, 1]]
 
 
 def test_a_sensor_that_wraps(tmp_path):
@@ -265,7 +270,8 @@ CHANGES = [
     ('noise: 1e-3', 'tolerance: 0', 'sensors.y1.tolerance: 0 is not positive'),
     ('noise: 1e-3', 'tolerance: b - 3', 'sensors.y1.tolerance: -1 is not positive'),
     ('noise: 1e-3', 'tolerance: much', "sensors.y1.tolerance: unknown name 'much'"),
-    ('unit: m^3/s,', 'range: [0, 1],', "inputs.u1: unknown key 'range'"),
+    ('unit: m^3/s,', 'range: [1, 0],', 'inputs.u1.range: 1 is not below 0'),
+    ('leak: {', 'leak: {range: 1, ', 'disturbances.leak.range: 1 is not two numbers'),
     ('measures: level1,', '', 'sensors.y1.measures: is missing; say which state'),
     ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
     ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),

@@ -2,11 +2,11 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states (unit,
-initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit), sensors
-(measures, unit, noise, tolerance, wrap), operating_point, and the right-hand side: dynamics, one
-equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of
-which combinations of states). Every number may be an expression of the parameters. What is wrong
-gives one BadInput line that names the file, the place and the mend.
+initial, process_noise, range, slow), inputs (unit, operating, range), disturbances (unit,
+range), sensors (measures, unit, noise, tolerance, wrap), operating_point, and the right-hand
+side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities
+(function over w1.., of which combinations of states). Every number may be an expression of the
+parameters. What is wrong gives one BadInput line that names the file, the place and the mend.
 """
 
 from __future__ import annotations
@@ -195,8 +195,8 @@ class _File:
         sample_time = self.sample_time()
         parameters = self.section('parameters', ('value', 'unit'), 'value')
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
-        inputs = self.section('inputs', ('unit', 'operating'))
-        disturbances = self.section('disturbances', ('unit',))
+        inputs = self.section('inputs', ('unit', 'operating', 'range'))
+        disturbances = self.section('disturbances', ('unit', 'range'))
         sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap'),
                                'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
@@ -245,7 +245,8 @@ class _File:
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
             process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
                            for s, e in states.items()],
-            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], slow=slow,
+            ranges=self.ranges('states', states), input_range=self.ranges('inputs', inputs),
+            disturbance_range=self.ranges('disturbances', disturbances), slow=slow,
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
                         for s, e in sensors.items() if 'tolerance' in e},
             wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()],
@@ -289,6 +290,11 @@ class _File:
             raise self.fail(place, f'{size:g} is not positive',
                             'give how far off an estimate may be')
         return size
+
+    def ranges(self, section: str, entries: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+        """Read where each quantity of a section lives (.., 2)."""
+        return np.array([self.range(entry, f'{section}.{name}.range')
+                         for name, entry in entries.items()]).reshape(-1, 2)
 
     def range(self, entry: Mapping[str, Any], key: str) -> tuple[float, float]:
         """Read [low, high], where null leaves a side open."""

@@ -70,6 +70,8 @@ class Plant:
     # state per sqrt(s)], discrete: [unit of the state per step]
     process_noise: np.ndarray
     ranges: np.ndarray                  # (n, 2), where the states live; -inf, inf where unknown
+    input_range: np.ndarray             # (m, 2), where the inputs live, as ranges
+    disturbance_range: np.ndarray       # (d, 2), and the unknown inputs
     slow: np.ndarray                    # (n,) bool: offsets, which only drift
     tolerances: dict[str, float]        # by sensor: how far off an estimate of it may be
     wrap: np.ndarray                    # (l,), what a turn is in each reading, NaN: it wraps not
@@ -85,7 +87,8 @@ class Plant:
                       noise: Any = None, parameters: Mapping[str, float] | None = None,
                       operating_point: Any = None, operating_input: Any = None,
                       Cu: Any = None, Cd: Any = None, process_noise: Any = None,
-                      ranges: Any = None, slow: Sequence[str] = (),
+                      ranges: Any = None, input_range: Any = None,
+                      disturbance_range: Any = None, slow: Sequence[str] = (),
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
@@ -98,10 +101,10 @@ class Plant:
         terms. Names default to x1.., u1.., y1.., rho1..; a sensor may be called as a state.
         A is taken as it stands: no formal addend is moved into it. Cu (l, m), Cd (l, d): zero
         when None; flat for one sensor or one column. process_noise (n,), NaN where unknown;
-        ranges (n, 2), low < high, -inf and inf where unknown. slow: names of states that only
-        drift; tolerances: how far off an estimate may be, by sensor. wrap (l,): of a heading that
-        jumps at +-pi 2 pi, NaN where nothing wraps. where: what error lines call the source.
-        Raises BadInput.
+        ranges (n, 2), low < high, -inf and inf where unknown; input_range (m, 2) and
+        disturbance_range (d, 2) likewise. slow: names of states that only drift; tolerances: how
+        far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
+        NaN where nothing wraps. where: what error lines call the source. Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -158,7 +161,11 @@ class Plant:
             Cu=_direct(Cu, len(c), b.shape[1], where, 'Cu'),
             Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
             process_noise=_noise(process_noise, n, where, 'process_noise'),
-            ranges=_ranges(ranges, n, where), slow=_marks(slow, state_names, where),
+            ranges=_ranges(ranges, n, where, 'ranges', 'a state'),
+            input_range=_ranges(input_range, b.shape[1], where, 'input_range', 'an input'),
+            disturbance_range=_ranges(disturbance_range, d.shape[1], where, 'disturbance_range',
+                                      'an unknown input'),
+            slow=_marks(slow, state_names, where),
             tolerances=_tolerances(tolerances or {}, sensor_names, where),
             wrap=_turns(wrap, len(c), where))
 
@@ -198,12 +205,14 @@ class Plant:
         return tuple(turns for _, turns in found)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return between what readings lie by the states' ranges, of sensors that these tell."""
+        """Return between what readings lie by the ranges, of sensors that these tell."""
         ranges = {}
-        for name, row, *direct in zip(self.sensors, self.C, self.Cu, self.Cd):
+        rows = np.hstack([self.C, self.Cu, self.Cd])
+        known = np.vstack([self.ranges, self.input_range, self.disturbance_range])
+        for name, row in zip(self.sensors, rows):
             of = np.flatnonzero(row)
-            ends = np.sort(row[of, None] * self.ranges[of], axis=1).sum(axis=0)
-            if len(of) and np.isfinite(ends).all() and not any(more.any() for more in direct):
+            ends = np.sort(row[of, None] * known[of], axis=1).sum(axis=0)
+            if len(of) and np.isfinite(ends).all():
                 ranges[name] = (float(ends[0]), float(ends[1]))
         return ranges
 
@@ -224,6 +233,8 @@ class Plant:
             'continuous' if self.sample_time is None else float(self.sample_time).hex())
         if not np.isnan(self.wrap).all():
             add('wrap', self.wrap)
+        if np.isfinite(self.input_range).any() or np.isfinite(self.disturbance_range).any():
+            add('ranges', self.input_range, self.disturbance_range)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -346,14 +357,14 @@ def _direct(value: Any, height: int, width: int, where: object, key: str) -> np.
     return array
 
 
-def _ranges(value: Any, n: int, where: object) -> np.ndarray:
-    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where,
-                   'ranges', infinite=True)
+def _ranges(value: Any, n: int, where: object, key: str, each: str) -> np.ndarray:
+    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where, key,
+                   infinite=True)
     if array.shape != (n, 2):
-        raise BadInput(where, 'ranges', f'has shape {array.shape}',
-                       f'give {n} rows of low and high, one a state')
+        raise BadInput(where, key, f'has shape {array.shape}',
+                       f'give {n} rows of low and high, one {each}')
     if not (array[:, 0] < array[:, 1]).all():
-        raise BadInput(where, 'ranges', f'{shown(value)} has a low that is not below its high',
+        raise BadInput(where, key, f'{shown(value)} has a low that is not below its high',
                        'give low < high, -inf and inf where unknown')
     return array
 
