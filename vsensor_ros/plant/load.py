@@ -21,6 +21,7 @@ import numpy as np
 import yaml
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     check_name,
     fold,
@@ -31,6 +32,7 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
+from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
 from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
 from vsensor_ros.text_file import read_text
@@ -159,17 +161,15 @@ class _File:
         node = parse(value, self.path, key, known=(*variables, *self.parameters))
         return fold(substitute(node, self.parameters), self.path, key)
 
-    def linear(self, value: Any, key: str, variables: Sequence[str],
-               kinds: tuple[str, ...] = ('state',)) -> np.ndarray:
-        """Read a linear expression as one row over the variables, which are of these kinds."""
-        form = affine(self.expression(value, key, variables))
+    def linear(self, value: Any, key: str, states: Sequence[str]) -> np.ndarray:
+        """Read a linear expression as one row over the states."""
+        form = affine(self.expression(value, key, states))
         if form is None or not form or '' in form:
-            every = ', '.join(f'{kind}s' for kind in kinds)
-            raise self.fail(key, f'{shown(value)} is not linear in the {every}' if form is None
+            raise self.fail(key, f'{shown(value)} is not linear in the states' if form is None
                             else f'{shown(value)} has an offset' if form
-                            else f'{shown(value)} holds no {", ".join(kinds)}',
-                            f'write a sum of {every} with factors, such as level1 - level2')
-        return np.array([form.get(name, 0.0) for name in variables])
+                            else f'{shown(value)} holds no state',
+                            'write a sum of states with factors, such as level1 - level2')
+        return np.array([form.get(name, 0.0) for name in states])
 
     def sample_time(self) -> float | None:
         value = self.content.get('time')
@@ -224,12 +224,20 @@ class _File:
         slow = tuple(s for s, e in states.items() if self.truth(e, 'slow', f'states.{s}'))
         split, measured = self.right_hand_side(tuple(states), tuple(inputs),
                                                tuple(disturbances), point, u, slow)
-        everything = (*states, *inputs, *disturbances)
+        ranges = [self.ranges(key, entries) for key, entries in (
+            ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
+        groups = tuple(states), tuple(inputs), tuple(disturbances)
+        curves: dict[str, Curve] = {}
         if measured is None:
-            measured = np.array([self.linear(
-                self.required(e, 'measures', f'sensors.{s}', 'say which state it measures'),
-                f'sensors.{s}.measures', everything, ('state', 'input', 'disturbance'))
-                for s, e in sensors.items()])
+            rows = []
+            for sensor, entry in sensors.items():
+                row, curve = self.measurement(
+                    sensor, entry, groups, np.vstack(ranges),
+                    np.concatenate([point, u, np.zeros(len(disturbances))]))
+                rows.append(row)
+                if curve is not None:
+                    curves[sensor] = curve
+            measured = np.array(rows)
         else:
             for sensor, entry in sensors.items():
                 if 'measures' in entry:
@@ -245,12 +253,24 @@ class _File:
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
             process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
                            for s, e in states.items()],
-            ranges=self.ranges('states', states), input_range=self.ranges('inputs', inputs),
-            disturbance_range=self.ranges('disturbances', disturbances), slow=slow,
+            ranges=ranges[0], input_range=ranges[1], disturbance_range=ranges[2], slow=slow,
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
                         for s, e in sensors.items() if 'tolerance' in e},
-            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()],
+            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()], curves=curves,
             name=name, where=self.path)
+
+    def measurement(self, sensor: str, entry: Mapping[str, Any],
+                    groups: Sequence[Sequence[str]], ranges: np.ndarray,
+                    point: np.ndarray) -> tuple[np.ndarray, Curve | None]:
+        """Read what a sensor measures, see `measurement`."""
+        place = f'sensors.{sensor}.measures'
+        text = self.required(entry, 'measures', f'sensors.{sensor}',
+                             'say which state it measures')
+        node = self.expression(text, place, [name for names in groups for name in names])
+        row, curve = measurement(node, text, groups, ranges, point, self.path, place)
+        if curve is not None and curve.text and 'wrap' in entry:
+            raise self.fail(place, 'is a curve, and wraps', 'leave out one of them')
+        return row, curve
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
         if entry.get(what) is None:

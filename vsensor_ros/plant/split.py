@@ -95,9 +95,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
     cores: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
     for i, equation in enumerate(equations):
         place = f'{key}.{states[i]}'
-        linear: dict[str, float] = {}
-        nonlinear: list[tuple[float, Node]] = []
-        linear = _collect(_reduced(equation, where, place), 1.0, linear, nonlinear)
+        linear, nonlinear = addends(equation, where, place)
         A[i] = [linear.get(name, 0.0) for name in states]
         B[i] = [linear.get(name, 0.0) for name in inputs]
         D[i] = [linear.get(name, 0.0) for name in disturbances]
@@ -110,7 +108,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
                                    f'nonlinear addend {shown(to_text(core))}',
                                    'let it enter as an addend of its own')
             rows: list[np.ndarray] = []
-            text = to_text(_lifted(core, states, inputs, rows))
+            text = to_text(lifted(core, states, inputs, rows))
             G = np.array(rows).reshape(len(rows), n)
             _, column = cores.setdefault((text, G.tobytes()), (G, np.zeros(n)))
             column[i] += factor
@@ -122,6 +120,13 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
         terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
     return Split(A, B, D, np.array([c for _, _, c in kept]).reshape(len(kept), n).T,
                  tuple(G for _, G, _ in kept), tuple(terms))
+
+
+def addends(node: Node, where: object,
+            key: str) -> tuple[dict[str, float], list[tuple[float, Node]]]:
+    """Return the affine part as by `affine`, and the other addends as (coefficient, core)."""
+    nonlinear: list[tuple[float, Node]] = []
+    return _collect(_reduced(node, where, key), 1.0, {}, nonlinear), nonlinear
 
 
 def _reduced(node: Node, where: object, key: str) -> Node:
@@ -171,13 +176,13 @@ def _scaled(node: Node) -> tuple[float, Node]:
     return 1.0, node
 
 
-def _lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
+def lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
             rows: list[np.ndarray]) -> Node:
-    # the core over w1.. and the inputs; the rows of G are appended to rows
+    """Return the core over w1.. and the inputs; the rows of G (.., n) are appended to rows."""
     form = affine(node)
     if form is None:
         assert isinstance(node, Apply)
-        return Apply(node.function, tuple(_lifted(a, states, inputs, rows)
+        return Apply(node.function, tuple(lifted(a, states, inputs, rows)
                                           for a in node.arguments))
     row = np.array([form.get(name, 0.0) for name in states])
     coefficients, variables = [form.get(name, 0.0) for name in inputs], list(inputs)
