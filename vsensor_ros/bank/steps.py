@@ -72,6 +72,8 @@ class Steps:
         self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
                         for name, delay in design.delays.items()}
         ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
+        # what comes late by itself is paid for
+        self._redone = _REDONE - min(self._shifts.values(), default=0) // self.period
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
         if jump_ahead is not None and not jump_ahead > 0.0:
@@ -341,7 +343,7 @@ class Steps:
             self._redo = None
             return
         newest = self._past[-1].tick
-        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        self._credit = min(self._credit + self._redone * max(0, last - newest), self._span)
         if self._redo is None:
             return
         steps = newest - max(self._redo, self._past[0].tick, newest - self._span)

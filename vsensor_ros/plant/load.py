@@ -2,11 +2,12 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states (unit,
-initial, process_noise, range, slow), inputs (unit, operating, range), disturbances (unit,
-range), sensors (measures, unit, noise, tolerance, wrap), operating_point, and the right-hand
-side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities
-(function over w1.., of which combinations of states). Every number may be an expression of the
-parameters. What is wrong gives one BadInput line that names the file, the place and the mend.
+initial, process_noise, range, slow), inputs (unit, operating, range, delay), disturbances (unit,
+range), sensors (measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate),
+operating_point, and the right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu,
+Cd, D, P with nonlinearities (function over w1.., of which combinations of states). Every number
+may be an expression of the parameters. What is wrong gives one BadInput line that names the file,
+the place and the mend.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
+from vsensor_ros.plant.dead_time import with_registers
 from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
 from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
@@ -195,10 +197,10 @@ class _File:
         sample_time = self.sample_time()
         parameters = self.section('parameters', ('value', 'unit'), 'value')
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
-        inputs = self.section('inputs', ('unit', 'operating', 'range'))
+        inputs = self.section('inputs', ('unit', 'operating', 'range', 'delay'))
         disturbances = self.section('disturbances', ('unit', 'range'))
-        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap'),
-                               'measures')
+        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap',
+                                           'delay', 'stamp_offset', 'rate'), 'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
                 raise self.fail(key, 'is missing or empty', f'name the {key}')
@@ -243,8 +245,10 @@ class _File:
                 if 'measures' in entry:
                     raise self.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                     'give one of the two')
+        late = {s: self.time(e, 'delay', f'sensors.{s}', sample_time)
+                for s, e in sensors.items()}
         C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
-        return Plant.from_matrices(
+        plant = Plant.from_matrices(
             split.A, split.B, C, split.D, sample_time, P=split.P, G=split.G,
             nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
             sensors=tuple(sensors), disturbances=tuple(disturbances),
@@ -257,7 +261,16 @@ class _File:
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
                         for s, e in sensors.items() if 'tolerance' in e},
             wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()], curves=curves,
+            input_delay=[self.time(e, 'delay', f'inputs.{i}', sample_time)
+                         for i, e in inputs.items()],
+            sensor_delay=[late[s] * (sample_time is None)
+                          + self.time(e, 'stamp_offset', f'sensors.{s}')
+                          for s, e in sensors.items()],
+            sensor_rate=[self.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
             name=name, where=self.path)
+        return plant if sample_time is None else with_registers(
+            plant, {s: round(delay / sample_time) for s, delay in late.items() if delay},
+            self.path)
 
     def measurement(self, sensor: str, entry: Mapping[str, Any],
                     groups: Sequence[Sequence[str]], ranges: np.ndarray,
@@ -294,6 +307,25 @@ class _File:
         if value <= 0.0:
             raise self.fail(key, f'{value:g} is not above 0',
                             'give what a turn is in its unit, such as 2*pi or 360')
+        return value
+
+    def time(self, entry: Mapping[str, Any], what: str, place: str,
+             sample_time: float | None = None) -> float:
+        """Read a dead time [s], of whole samples where there is a sample time; else 0."""
+        value = self.number(entry.get(what, 0.0), f'{place}.{what}')
+        if value < 0.0:
+            raise self.fail(f'{place}.{what}', f'{value:g} is negative',
+                            'give by how many seconds it is late')
+        if sample_time and abs(value / sample_time - round(value / sample_time)) > 1e-6:
+            raise self.fail(f'{place}.{what}', f'{value:g} s is no whole number of samples',
+                            f'give a multiple of {sample_time:g}')
+        return value
+
+    def rate(self, entry: Mapping[str, Any], key: str) -> float:
+        """Read how many readings come in a second, NaN if that is not said."""
+        value = self.number(entry['rate'], key) if 'rate' in entry else math.nan
+        if value <= 0.0:
+            raise self.fail(key, f'{value:g} is not above 0', 'give readings a second')
         return value
 
     def truth(self, entry: Mapping[str, Any], what: str, place: str) -> bool:

@@ -112,9 +112,9 @@ class Plant:
         disturbance_range (d, 2) likewise. slow: names of states that only drift; tolerances: how
         far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
         NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
-        input_delay (m,), sensor_delay (l,): dead times [s], whole samples when discrete;
-        sensor_rate (l,): readings a second, NaN where unknown. where: what error lines call the
-        source. Raises BadInput.
+        input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
+        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
+        what error lines call the source. Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -179,7 +179,7 @@ class Plant:
             tolerances=_tolerances(tolerances or {}, sensor_names, where),
             wrap=_turns(wrap, len(c), where), curves=_curves(curves or {}, sensor_names, where),
             input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
-            sensor_delay=_delays(sensor_delay, len(c), sample_time, where, 'sensor_delay'),
+            sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
             sensor_rate=_rates(sensor_rate, len(c), where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
