@@ -341,7 +341,7 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
 
 
 def test_the_range_of_an_input_bounds_the_slopes_that_it_scales():
-    """d e = -2 e - u (sin x - sin(x - e)): the slope along x is within +-max |u|."""
+    """D e = -2 e - u (sin x - sin(x - e)): the slope along x is within +-max |u|."""
     def of(limits):
         return certify(*system([[-2]], [[0.0]], ['u1*sin(w1)'], [[1.0]], [[[1.0]]], [[[0.0]]],
                                inputs=1, input_range=limits))

@@ -61,7 +61,8 @@ class Inputs:
             samples |= samples_of(turns, self.angles, self.ages, self._curves)
         for name, curve in self._curves.items():
             if name not in self.angles:
-                samples[name] = Curved(curve, [(gain, held[u]) for u, gain in curve.beside.items()])
+                beside = [(gain, held[u]) for u, gain in curve.beside.items()]
+                samples[name] = Curved(curve, beside)
         self.samples, self._held = samples, held
         seen: list[Seen] = [[(float(gain), held[name])
                              for gain, name in zip(row, self.commands) if gain]

@@ -2,10 +2,10 @@
 What noise does to an estimate, and the least that it can do: the Kalman filter's error.
 
 Readings carry white noise of the plant's standard deviations, one value each INTERVAL (or, when
-the plant's own rates ask for it, faster), or at the rate that is given of the sensor; states are moved by the plant's process noise. Where the
-plant gives no figures, readings err by RELATIVE of the state's natural size, and the process by
-ROUGH times as much within a mean time constant: the model is rougher than the sensors. A slow
-state is moved by SLOW of that.
+the plant's own rates ask for it, faster), or at the rate that is given of the sensor; states are
+moved by the plant's process noise. Where the plant gives no figures, readings err by RELATIVE of
+the state's natural size, and the process by ROUGH times as much within a mean time constant: the
+model is rougher than the sensors. A slow state is moved by SLOW of that.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import compile_expression, parse
@@ -105,11 +104,13 @@ class Curve:
         return lru_cache(maxsize=64)(self._invert)  # a reading counts at several grid times
 
     def _invert(self, value: float) -> float:
+        from scipy.optimize import brentq  # only where there is a curve
         (first, by_first), (end, by_end) = self._ends
         rises = 1.0 if end > first else -1.0
         if rises * (value - first) <= 0.0:
             return self.low + (value - first) / by_first
         if rises * (value - end) >= 0.0:
             return self.high + (value - end) / by_end
+        fine = 1e-12 * max(abs(self.low), abs(self.high))
         return float(brentq(lambda w: float(self._run([np.float64(w)])) - value, self.low,
-                            self.high, xtol=1e-12 * max(abs(self.low), abs(self.high)), rtol=1e-14))
+                            self.high, xtol=fine, rtol=1e-14))

@@ -24,25 +24,39 @@ import yaml
 from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
+    Apply,
     check_name,
     fold,
+    function_of,
     Node,
     Number,
     parse,
     substitute,
+    table_node,
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.dead_time import with_registers
 from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
-from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
+from vsensor_ros.plant.split import (
+    addends,
+    affine,
+    check_split,
+    Split,
+    split_equations,
+    with_addends,
+)
 from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes
 LARGEST_SECTION = 1000   # states, inputs, ...; keeps a forged file from eating the memory
-_TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'disturbances',
-        'dynamics', 'matrices', 'nonlinearities', 'sensors', 'operating_point')
+_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'definitions', 'states',
+        'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
+        'operating_point')
+_SECONDS = {'us': 1e-6, 'ms': 1e-3, 's': 1.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
+_TABLE = ('table', 'interpolation')
+_SHAPES = {'linear': 'table', 'cubic': 'smooth_table'}
 
 
 class _Loader(yaml.SafeLoader):
@@ -120,6 +134,9 @@ class _File:
             raise BadInput(path, '', 'is empty', 'write a plant file')
         self.content = self.mapping(content, '', _TOP)
         self.parameters: dict[str, float] = {}
+        self.arrays: dict[str, list[Any]] = {}
+        self.definitions: dict[str, Node] = {}  # without names of others
+        self.written: dict[str, Node] = {}  # those whose names give way to what they are
 
     def fail(self, key: str, problem: str, mend: str) -> BadInput:
         return BadInput(self.path, key, problem, mend)
@@ -160,8 +177,73 @@ class _File:
         return node.value
 
     def expression(self, value: Any, key: str, variables: Iterable[str]) -> Node:
-        node = parse(value, self.path, key, known=(*variables, *self.parameters))
-        return fold(substitute(node, self.parameters), self.path, key)
+        return fold(substitute(self.by_name(value, key, variables), self.definitions), self.path,
+                    key)
+
+    def by_name(self, value: Any, key: str, variables: Iterable[str]) -> Node:
+        """Read an expression in which definitions that are nonlinear addends keep their names."""
+        node = parse(value, self.path, key,
+                     known=(*variables, *self.parameters, *self.definitions))
+        return fold(substitute(substitute(node, self.parameters), self.written), self.path, key)
+
+    def read_parameters(self, parameters: Mapping[str, Mapping[str, Any]]) -> None:
+        for key, entry in parameters.items():
+            place = f'parameters.{key}'
+            value = self.required(entry, 'value', place, 'give its value')
+            if isinstance(value, list):
+                self.arrays[key] = value
+                self.array(value, key)
+            else:
+                self.parameters[key] = self.number(value, place)
+
+    def array(self, values: list[Any], name: str) -> None:
+        """Read the elements of an array as parameters of their own: k[0], k[1][2]."""
+        if len(self.parameters) + len(values) > LARGEST_SECTION:
+            raise self.fail('parameters', f'has more than {LARGEST_SECTION} numbers',
+                            'leave some out')
+        for i, value in enumerate(values):
+            element = f'{name}[{i}]'
+            if isinstance(value, list):
+                if name.count('['):
+                    raise self.fail(f'parameters.{element}', 'is a list in a list in a list',
+                                    'give rows of numbers')
+                self.array(value, element)
+            else:
+                self.parameters[element] = self.number(value, f'parameters.{element}')
+
+    def read_definitions(self, variables: Sequence[str]) -> None:
+        """Read intermediate expressions; a later one may use earlier ones."""
+        for name, entry in self.section('definitions', ('value', 'unit', *_TABLE),
+                                        'value').items():
+            place = f'definitions.{name}'
+            text = self.required(entry, 'value', place, 'write what it is')
+            node = self.tabled(self.by_name(text, place, variables), entry, place)
+            whole = fold(substitute(node, self.definitions), self.path, place)
+            linear, cores = addends(whole, self.path, place)
+            friction = [core for _, core in cores
+                        if isinstance(core, Apply) and function_of(core).set_valued]
+            if linear or len(cores) != 1 or friction:
+                self.written[name] = node
+            self.definitions[name] = whole
+
+    def tabled(self, node: Node, entry: Mapping[str, Any], place: str) -> Node:
+        """Return the lookup table of a node, where there is one; else itself."""
+        if 'table' not in entry:
+            if 'interpolation' in entry:
+                raise self.fail(f'{place}.interpolation', 'stands there without a table',
+                                'give table: [[x, y], ..]')
+            return node
+        rows, key = entry['table'], f'{place}.table'
+        rows = self.arrays.get(rows, rows) if isinstance(rows, str) else rows
+        if not isinstance(rows, list) or not all(isinstance(r, list) and len(r) == 2
+                                                 for r in rows):
+            raise self.fail(key, f'{shown(rows)} is no list of points', 'write [[x, y], [x, y]]')
+        shape = entry.get('interpolation', 'linear')
+        if shape not in _SHAPES:
+            raise self.fail(f'{place}.interpolation', f'{shown(shape)} is not known',
+                            f'write {" or ".join(_SHAPES)}')
+        points = [Number(self.number(v, f'{key}[{i}]')) for i, row in enumerate(rows) for v in row]
+        return table_node(_SHAPES[shape], node, *points, where=self.path, key=key)
 
     def linear(self, value: Any, key: str, states: Sequence[str]) -> np.ndarray:
         """Read a linear expression as one row over the states."""
@@ -188,6 +270,17 @@ class _File:
             raise self.fail('time.sample_time', f'{seconds:g} is not positive', 'give seconds')
         return seconds
 
+    def time_unit(self, sample_time: float | None) -> float:
+        """Read how many seconds the equations' unit of time has."""
+        unit = self.content.get('time_unit', 's')
+        if unit not in _SECONDS:
+            raise self.fail('time_unit', f'{shown(unit)} is not known',
+                            f'write one of {", ".join(_SECONDS)}')
+        if 'time_unit' in self.content and sample_time is not None:
+            raise self.fail('time_unit', 'stands beside a sample time',
+                            'leave it out: the equations give the next values, not rates')
+        return _SECONDS[unit]
+
     def plant(self) -> Plant:
         name = self.content.get('name')
         if name is None:
@@ -195,23 +288,24 @@ class _File:
         if not isinstance(self.content.get('description', ''), str):
             raise self.fail('description', 'is not a text', 'put it in quotes')
         sample_time = self.sample_time()
+        unit = self.time_unit(sample_time)
         parameters = self.section('parameters', ('value', 'unit'), 'value')
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
         inputs = self.section('inputs', ('unit', 'operating', 'range', 'delay'))
         disturbances = self.section('disturbances', ('unit', 'range'))
         sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap',
-                                           'delay', 'stamp_offset', 'rate'), 'measures')
+                                           'delay', 'stamp_offset', 'rate', *_TABLE),
+                               'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
                 raise self.fail(key, 'is missing or empty', f'name the {key}')
         check_distinct(self.path, {'states': tuple(states), 'inputs': tuple(inputs),
                                    'disturbances': tuple(disturbances),
-                                   'parameters': tuple(parameters)})
-        for key, entry in parameters.items():
-            place = f'parameters.{key}'
-            self.parameters[key] = self.number(
-                self.required(entry, 'value', place, 'give its value'), place)
-
+                                   'parameters': tuple(parameters),
+                                   'definitions': tuple(self.mapping(
+                                       self.content.get('definitions'), 'definitions'))})
+        self.read_parameters(parameters)
+        self.read_definitions((*states, *inputs, *disturbances))
         initial = np.array([self.number(e.get('initial', 0.0), f'states.{s}.initial')
                             for s, e in states.items()])
         u = np.array([self.number(e.get('operating', 0.0), f'inputs.{i}.operating')
@@ -230,6 +324,7 @@ class _File:
             ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
         groups = tuple(states), tuple(inputs), tuple(disturbances)
         curves: dict[str, Curve] = {}
+        split, noisy = split.slower(unit), math.sqrt(unit)
         if measured is None:
             rows = []
             for sensor, entry in sensors.items():
@@ -255,7 +350,7 @@ class _File:
             units=self.units(states, inputs, disturbances, sensors, measured), initial=initial,
             noise=[self.deviation(e, 'noise', f'sensors.{s}') for s, e in sensors.items()],
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
-            process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
+            process_noise=[self.deviation(e, 'process_noise', f'states.{s}') / noisy
                            for s, e in states.items()],
             ranges=ranges[0], input_range=ranges[1], disturbance_range=ranges[2], slow=slow,
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
@@ -279,7 +374,8 @@ class _File:
         place = f'sensors.{sensor}.measures'
         text = self.required(entry, 'measures', f'sensors.{sensor}',
                              'say which state it measures')
-        node = self.expression(text, place, [name for names in groups for name in names])
+        node = self.tabled(self.expression(
+            text, place, [name for names in groups for name in names]), entry, f'sensors.{sensor}')
         row, curve = measurement(node, text, groups, ranges, point, self.path, place)
         if curve is not None and curve.text and 'wrap' in entry:
             raise self.fail(place, 'is a curve, and wraps', 'leave out one of them')
@@ -402,10 +498,12 @@ class _File:
                 raise self.fail(f'dynamics.{state}', 'is missing',
                                 'write one equation a state')
         variables = (*states, *inputs, *disturbances)
-        equations = [self.expression(texts[s], f'dynamics.{s}', variables) for s in states]
-        split = with_addends(split_equations(equations, states, inputs, disturbances,
-                                             self.path), point, inputs, u)
-        check_split(split, equations, states, inputs, disturbances, point, self.path)
+        equations = [self.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
+        split = with_addends(split_equations(
+            equations, states, inputs, disturbances, self.path, definitions=self.definitions),
+            point, inputs, u)
+        check_split(split, [fold(substitute(e, self.definitions)) for e in equations], states,
+                    inputs, disturbances, point, self.path)
         return split, None
 
     def matrices(self, states: tuple[str, ...], inputs: tuple[str, ...],
@@ -448,6 +546,8 @@ class _File:
     def matrix(self, value: Any, key: str, height: int, width: int) -> np.ndarray:
         if value is None and width:
             raise self.fail(key, 'is missing', f'give {height} rows of {width} numbers')
+        if isinstance(value, str):
+            value = self.arrays.get(value, value)
         rows = [[] for _ in range(height)] if value is None else value
         if isinstance(rows, list) and not any(isinstance(row, list) for row in rows):
             rows = [[v] for v in rows] if width == 1 else [rows]    # one column or row, flat

@@ -14,7 +14,15 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.functions.curve import Curve
-from vsensor_ros.functions.expression import Apply, gradient, Name, Node, Number, substitute, to_text
+from vsensor_ros.functions.expression import (
+    Apply,
+    gradient,
+    Name,
+    Node,
+    Number,
+    substitute,
+    to_text,
+)
 from vsensor_ros.plant.plant import affine_node
 from vsensor_ros.plant.split import addends, affine, lifted
 
@@ -58,8 +66,9 @@ def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], range
         np.abs(beside).max(initial=0.0))
     if left.any():
         name = np.array(names)[~command][left][0]
-        raise BadInput(where, key, f'{shown(text)} cannot be inverted: {name} is added to a curve '
-                       f'of {to_text(affine_node(w, names))}', 'only commands, or the same sum, may be')
+        raise BadInput(where, key, f'{shown(text)} cannot be inverted: {name} is added to a '
+                       f'curve of {to_text(affine_node(w, names))}',
+                       'only commands, or the same sum, may be')
     beside[~command] = 0.0
     curve = Apply('+', (curve, Apply('*', (Number(share), Name('w1'))))) if share else curve
     low, high = _span(w, ranges)
@@ -69,8 +78,8 @@ def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], range
         raise BadInput(where, key, f'{shown(text)} is a curve, and {", ".join(open_names)} has no '
                        'range in which to invert it', 'give it one: range: [low, high]')
     slope = float(gradient(curve, {'w1': float(w @ point)}, ('w1',))[1][0])
-    mean = float(np.subtract(*(gradient(curve, {'w1': end}, ('w1',))[0]
-                               for end in (high, low)))) / (high - low)
+    first, last = (gradient(curve, {'w1': end}, ('w1',))[0] for end in (low, high))
+    mean = (last - first) / (high - low)
     found = _scaled(curve, 1.0, low, high)
     found.check(where, key)
     if not np.isfinite(slope) or abs(slope) < FLAT * abs(mean):

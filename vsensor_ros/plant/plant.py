@@ -276,7 +276,8 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
 
 
-def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0) -> Node:
+def affine_node(row: Sequence[float] | np.ndarray, names: Sequence[str],
+                offset: float = 0.0) -> Node:
     """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
     total: Node | None = None
     for factor, name in zip(row, names):
