@@ -47,6 +47,7 @@ from vsensor_ros.plant.split import (
     split_equations,
     with_addends,
 )
+from vsensor_ros.plant.units import check_rates, converted, NOT_INSTALLED, registry, Units
 from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes
@@ -137,6 +138,7 @@ class _File:
         self.arrays: dict[str, list[Any]] = {}
         self.definitions: dict[str, Node] = {}  # without names of others
         self.written: dict[str, Node] = {}  # those whose names give way to what they are
+        self.units_of: Units | None = None  # None: not checked
 
     def fail(self, key: str, problem: str, mend: str) -> BadInput:
         return BadInput(self.path, key, problem, mend)
@@ -186,6 +188,21 @@ class _File:
                      known=(*variables, *self.parameters, *self.definitions))
         return fold(substitute(substitute(node, self.parameters), self.written), self.path, key)
 
+    def raw(self, value: Any) -> Node:
+        """Return an expression that was read already with all its names."""
+        return parse(value, self.path)
+
+    def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
+        """Begin to check units; return where it is said what is amiss, or why nothing is."""
+        of = {name: entry['unit'] for section in sections for name, entry in section.items()
+              if entry.get('unit')}
+        if not of or registry() is None:
+            return [NOT_INSTALLED] if of else []
+        of.update({element: of[name] for element in self.parameters
+                   if (name := element.split('[')[0]) in of})
+        self.units_of = Units(of)
+        return self.units_of.said
+
     def read_parameters(self, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         for key, entry in parameters.items():
             place = f'parameters.{key}'
@@ -219,6 +236,8 @@ class _File:
             text = self.required(entry, 'value', place, 'write what it is')
             node = self.tabled(self.by_name(text, place, variables), entry, place)
             whole = fold(substitute(node, self.definitions), self.path, place)
+            if self.units_of is not None and 'table' not in entry:
+                self.units_of.inferred[name] = self.units_of.infer(self.raw(text), place)
             linear, cores = addends(whole, self.path, place)
             friction = [core for _, core in cores
                         if isinstance(core, Apply) and function_of(core).set_valued]
@@ -305,6 +324,8 @@ class _File:
                                    'definitions': tuple(self.mapping(
                                        self.content.get('definitions'), 'definitions'))})
         self.read_parameters(parameters)
+        said = self.read_units(states, inputs, disturbances, parameters, self.section(
+            'definitions', ('value', 'unit', *_TABLE), 'value'))
         self.read_definitions((*states, *inputs, *disturbances))
         initial = np.array([self.number(e.get('initial', 0.0), f'states.{s}.initial')
                             for s, e in states.items()])
@@ -362,6 +383,7 @@ class _File:
                           + self.time(e, 'stamp_offset', f'sensors.{s}')
                           for s, e in sensors.items()],
             sensor_rate=[self.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
+            remarks=said,
             name=name, where=self.path)
         return plant if sample_time is None else with_registers(
             plant, {s: round(delay / sample_time) for s, delay in late.items() if delay},
@@ -374,8 +396,13 @@ class _File:
         place = f'sensors.{sensor}.measures'
         text = self.required(entry, 'measures', f'sensors.{sensor}',
                              'say which state it measures')
-        node = self.tabled(self.expression(
-            text, place, [name for names in groups for name in names]), entry, f'sensors.{sensor}')
+        node = self.expression(text, place, [name for names in groups for name in names])
+        if self.units_of is not None and 'table' not in entry:
+            factor, offset = converted(self.units_of, self.raw(text), entry.get('unit', ''),
+                                       sensor)
+            node = node if factor == 1.0 else Apply('*', (Number(factor), node))
+            node = fold(Apply('+', (node, Number(offset)))) if offset else node
+        node = self.tabled(node, entry, f'sensors.{sensor}')
         row, curve = measurement(node, text, groups, ranges, point, self.path, place)
         if curve is not None and curve.text and 'wrap' in entry:
             raise self.fail(place, 'is a curve, and wraps', 'leave out one of them')
@@ -499,6 +526,10 @@ class _File:
                                 'write one equation a state')
         variables = (*states, *inputs, *disturbances)
         equations = [self.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
+        if self.units_of is not None:
+            unit = self.content.get('time_unit', 's') if continuous else None
+            check_rates(self.units_of, {s: self.raw(texts[s]) for s in states}, unit,
+                        'time_unit' in self.content)
         split = with_addends(split_equations(
             equations, states, inputs, disturbances, self.path, definitions=self.definitions),
             point, inputs, u)

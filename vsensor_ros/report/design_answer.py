@@ -24,6 +24,8 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
     time = ('continuous time' if result.sample_time is None
             else f'sample time {result.sample_time:g} s')
     lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
+    if plant is not None and plant.remarks:
+        lines += [line for text in plant.remarks for line in _hanging('note:', text, 6)] + ['']
     if any(result.fault_sets):
         lines.append('Sensors that this plant can afford to lose at the same time')
     for size, sentences in design_text.loss_lines(result):
