@@ -324,6 +324,9 @@ def test_lookup_tables_in_equations_and_sensors(tmp_path, shape):
 
 CHANGES = [
     ('dynamics:', 'definitions: {level1: 2}\ndynamics:', 'definitions: level1 is also one of the'),
+    ('dynamics:', 'definitions:\n  d0: exp(level1)\n' + ''.join(
+        f'  d{i + 1}: d{i}*d{i}\n' for i in range(99)) + 'dynamics:',
+     'is too large with its definitions written out'),
     ('dynamics:', 'definitions: {f: g}\ndynamics:', "definitions.f: unknown name 'g'"),
     ('dynamics:', 'definitions: {f: {unit: m}}\ndynamics:', 'definitions.f.value: is missing'),
     ('measures: level1,', 'measures: level1, table: [[0, 1], [0, 2]],',

@@ -78,7 +78,7 @@ def test_definitions_have_the_units_of_what_they_are(tmp_path):
 
 
 def test_without_pint_that_is_said_once(tmp_path, monkeypatch):
-    monkeypatch.setattr('vsensor_ros.plant.load.registry', lambda: None)
+    monkeypatch.setattr('vsensor_ros.plant.entries.registry', lambda: None)
     assert loaded(tmp_path).remarks == (units.NOT_INSTALLED,)
     assert loaded(tmp_path).C[0].tolist() == [1, 0, 0]  # as it is written
 
