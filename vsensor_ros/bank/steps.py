@@ -64,6 +64,9 @@ class Steps:
                            f'{design.sample_time:g} s', f'give {1.0 / design.sample_time:g}')
         for name in set(design.sensors) & set(design.inputs):
             raise BadInput('', name, 'is both a sensor and a command', 'rename one')
+        for name in {name for turns in design.wrap for name in turns} & set(design.curves):
+            if design.curves[name].text:
+                raise BadInput('', name, 'shows a curve, and wraps', 'write it without a curve')
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         ages = ages_of(design.sensors, max_age, 3 * self.period)
