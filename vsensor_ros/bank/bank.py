@@ -13,6 +13,7 @@ from vsensor_ros.bank.deviations import Deviations
 from vsensor_ros.bank.estimates import Estimates
 from vsensor_ros.bank.record import Rehearsal
 from vsensor_ros.bank.serving import Serving
+from vsensor_ros.bank.shown import Shown
 from vsensor_ros.bank.state import stacked
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
@@ -49,6 +50,7 @@ class Bank(Steps):
             self.period * 1e-9, lambda tick: self._told.ages_at(self._at(tick)), self._widening)
         self._estimates = Estimates(self._batch, self._runs, self._serving, self._measured,
                                     self._past, self.period * 1e-9, self.angles)
+        self._shown = Shown(design, self._batch.keys)
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -59,7 +61,12 @@ class Bank(Steps):
         output = self._running(fault_set, channel)
         if output is None:
             return None
+        if channel in self._shifts:  # it would speak of earlier
+            said = self.recall(fault_set, channel, self._at(self._past[-1].tick))
+            return None if said is None else said[0]
         value = float(self._estimates.at(self._past[-1])[output])
+        if output in self._shown:
+            value = self._shown.value(output, value, self._past[-1].told.held)
         return value if math.isfinite(value) else None
 
     def recall(self, fault_set: Iterable[str], channel: str, time: int,
@@ -71,6 +78,7 @@ class Bank(Steps):
         virtual sensor did not run then, or nothing is known of that time any more.
         """
         output = self._output.get((frozenset(fault_set), channel))
+        time += self._shifts.get(channel, 0)
         if output is None or not self._past or time < self._at(self._past[0].tick):
             return None
         steps, rest = divmod(time - self._at(self._past[0].tick), self.period)
@@ -85,8 +93,15 @@ class Bank(Steps):
             value += rest / self.period * (float(self._estimates.at(after)[output]) - there)
         if not math.isfinite(value):
             return None
-        return value, self._deviations.of_run_at(output, row, before), self._batch.interval(
-            output, self._runs.serving(before.z), before.told, self._serving.age(output, before))
+        deviation = self._deviations.of_run_at(output, row, before)
+        interval = self._batch.interval(output, self._runs.serving(before.z), before.told,
+                                        self._serving.age(output, before))
+        if output in self._shown:
+            held = before.told.held
+            deviation *= self._shown.steepness(output, value, held)
+            interval = self._shown.interval(output, interval, held)
+            value = self._shown.value(output, value, held)
+        return value, deviation, interval
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
@@ -154,7 +169,7 @@ class Bank(Steps):
             age, unseen = self._serving.guards[i], 0.0
         else:
             return math.inf
-        return self._deviations.until(output, age, unseen, limit)
+        return self._deviations.until(output, age, unseen, limit / self._steepness(output))
 
     def outside_region(self, fault_set: Iterable[str], channel: str) -> bool:
         """
@@ -182,6 +197,11 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
+        found = self._deviation(output)
+        return found * self._steepness(output) if output in self._shown else found
+
+    def _deviation(self, output: int) -> float:
+        """Return the deviation of a linear reading, by the run that serves or would."""
         served = self._deviations.of_run(output, self._serving.row(output)) \
             if self._serving.runs(output) else math.inf
         i = self._serving.tracked.get(output)
@@ -201,14 +221,20 @@ class Bank(Steps):
         What a fault did before its isolation is not in it. None: they were not compared yet.
         """
         output = self._output.get((frozenset(fault_set), channel))
-        return None if output is None else self._measured.record.rehearsal(output)
+        found = None if output is None else self._measured.record.rehearsal(output)
+        if output is None or found is None or output not in self._shown:
+            return found
+        steep = self._steepness(output)
+        return found._replace(mean=steep * found.mean, rms=steep * found.rms,
+                              worst=steep * found.worst, error=steep * found.error)
 
     def beside(self, channel: str) -> float | None:
         """Return the channel's believed reading at `time`; None when there is none."""
         if channel in self._told.distrusted or not self._past:
             return None
-        time = self._at(self._past[-1].tick)
-        return self._told.samples[channel].interpolated(time, self._told.ages[channel])
+        time = self._at(self._past[-1].tick) + self._shifts.get(channel, 0)
+        return self._told.shown(channel, self._told.samples[channel].interpolated(
+            time, self._told.ages[channel]), time)
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """
@@ -220,8 +246,9 @@ class Bank(Steps):
         if output is None:
             return None
         state = self._past[-1]
-        return self._batch.interval(output, self._runs.serving(state.z), state.told,
-                                    self._serving.age(output))
+        return self._shown.interval(output, self._batch.interval(
+            output, self._runs.serving(state.z), state.told, self._serving.age(output)),
+            state.told.held)
 
     def residual(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -230,8 +257,11 @@ class Bank(Steps):
         Readings of an isolated sensor count here: it tells whether the sensor has recovered.
         """
         output = self._output.get((frozenset(fault_set), channel))
-        return None if output is None or channel not in self.sensors else \
-            self._estimates.residual(output, self._at_grid_time(channel, self._told.said(channel)))
+        if output is None or channel not in self.sensors:
+            return None
+        found = self._estimates.residual(
+            output, self._at_grid_time(channel, self._told.said(channel)))
+        return None if found is None else found * self._steepness(output)
 
     def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -248,7 +278,8 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        return self._estimates.disagreement(output, last)
+        found = self._estimates.disagreement(output, last)
+        return None if found is None else found * self._steepness(output)
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
@@ -335,6 +366,11 @@ class Bank(Steps):
         state = self._past[-1]
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
                                    self._serving.age(output))
+
+    def _steepness(self, output: int) -> float:
+        """Return by what a small difference of linear readings is to be multiplied now."""
+        return 1.0 if output not in self._shown else self._shown.steepness(
+            output, float(self._estimates.at(self._past[-1])[output]), self._past[-1].told.held)
 
     # ------------------------------------------------------------------------ which run serves
 

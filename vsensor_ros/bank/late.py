@@ -6,11 +6,16 @@ _REDONE = 4  # steps redone for each new one, in the mean
 
 
 class Late:
-    """What late data has changed, by tick; `span`: steps that can be taken back, at most."""
+    """
+    What late data has changed, by tick.
 
-    def __init__(self, span: int) -> None:
+    span: steps that can be taken back, at most. usual: by how many steps readings are late by
+    themselves.
+    """
+
+    def __init__(self, span: int, usual: int = 0) -> None:
         """Begin with nothing."""
-        self._span = span
+        self._span, self._redone = span, _REDONE + max(0, usual)
         self.reset()
 
     def reset(self) -> None:
@@ -38,7 +43,7 @@ class Late:
 
         last: the tick that the newest state will have. It waits when that is often and far.
         """
-        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        self._credit = min(self._credit + self._redone * max(0, last - newest), self._span)
         if self._redo is None:
             return 0
         steps = newest - max(self._redo, oldest, newest - self._span)

@@ -64,9 +64,16 @@ class Steps:
                            f'{design.sample_time:g} s', f'give {1.0 / design.sample_time:g}')
         for name in set(design.sensors) & set(design.inputs):
             raise BadInput('', name, 'is both a sensor and a command', 'rename one')
+        for name in {name for turns in design.wrap for name in turns} & set(design.curves):
+            if design.curves[name].text:
+                raise BadInput('', name, 'shows a curve, and wraps', 'write it without a curve')
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         ages = ages_of(design.sensors, max_age, 3 * self.period)
+        # by which stamps are put on: a reading tells of earlier, a command acts later
+        self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
+                        for name, delay in design.delays.items()}
+        ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
         if jump_ahead is not None and not jump_ahead > 0.0:
@@ -92,11 +99,14 @@ class Steps:
         self._by_itself = self._everyone.copy()  # who starts when all that it needs is there
         self._by_itself[self._runs.free] = False
         check_ends(command_ends, design.inputs)
-        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
-                            command_ends, 3 * self.period, design.wrap)
+        held = Cu is not None or any(curve.beside for curve in design.curves.values())
+        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or held,
+                            command_ends, 3 * self.period, design.wrap, design.curves,
+                            self._shifts)
         self.angles = self._told.angles  # by sensor that wraps
         self._past: deque[State] = deque()
-        self._late = Late(self._span)
+        # what comes late by itself is paid for
+        self._late = Late(self._span, -min(self._shifts.values(), default=0) // self.period)
         self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
         self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
                                 self._guards, self._at, self._measured)
@@ -142,6 +152,8 @@ class Steps:
         """
         latest = math.inf if self._now is None else max(
             self._now, self._now + self.period if now is None else now)
+        if name in self._shifts:
+            stamp, latest = stamp + self._shifts[name], latest + min(0, self._shifts[name])
         changed = self._told.take(name, int(stamp), float(value), latest)
         if isinstance(changed, Reason):
             if changed is not ISOLATED:
@@ -163,7 +175,7 @@ class Steps:
 
     def spoil(self, name: str, time: int) -> None:
         """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
-        self._told.spoil(name, time)
+        self._told.spoil(name, time + self._shifts.get(name, 0))
 
     def distrust(self, names: Iterable[str], now: int | None = None,
                  onsets: Mapping[str, int] = MappingProxyType({})) -> None:

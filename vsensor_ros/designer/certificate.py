@@ -77,14 +77,15 @@ def certify(plant: Plant, sensor: VirtualSensor) -> Certificate:
 
 def _in_a_region(plant: Plant, sensor: VirtualSensor) -> Certificate:
     """Confine the arguments to the plant's ranges, else to boxes about the operating point."""
-    ranges, no_inputs = plant.ranges, _unlimited(plant)[1]
+    ranges, input_range = plant.ranges, plant.input_range
     used = np.any([np.abs(plant.G[i]).sum(axis=0) > 0 for i in _feeding_terms(sensor)], axis=0)
-    known = bool(np.isfinite(ranges[used]).any())
+    known = bool(np.isfinite(ranges[used]).any()
+                 or np.isfinite(input_range[_used_inputs(sensor)]).any())
     found: tuple[Form, np.ndarray, np.ndarray] | None = None
     if known:
-        form = search(_error(sensor, _slope_bounds(plant, sensor, ranges, no_inputs)))
+        form = search(_error(sensor, _slope_bounds(plant, sensor, ranges, input_range)))
         if form is not None:
-            found = form, ranges, no_inputs
+            found = form, ranges, input_range
     if found is None:
         here = _error(sensor, _slope_bounds(plant, sensor, *_box(plant, 1e-6)))
         wanted = WORTHWHILE * decay_rate(here.N, sensor.sample_time)
@@ -97,7 +98,7 @@ def _in_a_region(plant: Plant, sensor: VirtualSensor) -> Certificate:
     if found is None:
         place = 'in the given ranges' if known else 'near the operating point'
         tight = _slope_bounds(plant, sensor, ranges if known else _box(plant, REACHES[-1])[0],
-                              no_inputs if known else _box(plant, REACHES[-1])[1])
+                              input_range if known else _box(plant, REACHES[-1])[1])
         return _none(sensor, tight, _obstacle(sensor, tight, place))
     form, states, inputs = found
     region = _region(plant, sensor, states, inputs)
@@ -105,7 +106,8 @@ def _in_a_region(plant: Plant, sensor: VirtualSensor) -> Certificate:
         'region', form, sensor, _slope_bounds(plant, sensor, states, inputs),
         tuple(limit for _, limit in region),
         _said(sensor, 'it holds only while plant and estimate both keep '
-              + _listed([f'{name} in [{at.low:.4g}, {at.high:.4g}]' for name, at in region])))
+              + _listed([f'{name} in [{at.low:.4g}, {at.high:.4g}]' for name, at in region
+                         if np.isfinite((at.low, at.high)).any()])))
 
 
 def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certificate:
@@ -123,13 +125,13 @@ def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certific
     reason = 'its error is linear and dies out from every start'
     measured = [i for i in sensor.active if np.any(sensor.Gy[i])]
     if len(error.loose.p.T) or len(error.rising.p.T):
-        near = _error(sensor, _slope_bounds(plant, sensor, plant.ranges, _unlimited(plant)[1]))
+        near = _error(sensor, _slope_bounds(plant, sensor, plant.ranges, plant.input_range))
         if len(near.loose.p.T) or len(near.rising.p.T):
             reason += (f'; no bound for errors of the readings is known: the slope of '
                        f'{_listed([sensor.terms[i].name for i in measured])} has none')
         else:
             error = near
-            reason += '; its bound holds while the states stay in the given ranges'
+            reason += '; its bound holds while states and inputs stay in the given ranges'
     form = Form(*proved, peak_bound(error, *proved))
     return _certificate('global', form, sensor, bounds, (), _said(sensor, reason))
 
@@ -144,17 +146,17 @@ def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
 
 def _box(plant: Plant, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Surround the operating point by so many times its own size, within the ranges."""
-    def around(point: np.ndarray) -> np.ndarray:
+    def around(point: np.ndarray, ranges: np.ndarray) -> np.ndarray:
         size = np.abs(point)
         typical = size.max(initial=0.0) or 1.0
         size = np.where(size > 0.0, size, typical)
-        return np.stack([point - reach * size, point + reach * size], axis=1)
+        low = np.maximum(point - reach * size, ranges[:, 0])
+        high = np.minimum(point + reach * size, ranges[:, 1])
+        outside = low > high  # the operating point lies outside of the ranges
+        return np.where(outside[:, None], ranges, np.stack([low, high], axis=1))
 
-    states, inputs = around(plant.operating_point), around(plant.operating_input)
-    low = np.maximum(states[:, 0], plant.ranges[:, 0])
-    high = np.minimum(states[:, 1], plant.ranges[:, 1])
-    outside = low > high  # the operating point lies outside of the ranges
-    return np.where(outside[:, None], plant.ranges, np.stack([low, high], axis=1)), inputs
+    return (around(plant.operating_point, plant.ranges),
+            around(plant.operating_input, plant.input_range))
 
 
 def _image(rows: np.ndarray, box: np.ndarray) -> np.ndarray:
@@ -176,6 +178,12 @@ def _slope_bounds(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
 def _feeding_terms(sensor: VirtualSensor) -> list[int]:
     # active terms that see the estimate itself
     return [i for i in sensor.active if np.any(sensor.Gz[i])]
+
+
+def _used_inputs(sensor: VirtualSensor) -> list[int]:
+    # indices of the inputs that these terms hold
+    used = {name for i in _feeding_terms(sensor) for name in names(parse(sensor.terms[i].text))}
+    return [j for j, name in enumerate(sensor.inputs) if name in used]
 
 
 def _error(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]]) -> ErrorSystem:
@@ -297,10 +305,10 @@ def _region(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
         for j, (row, (low, high)) in enumerate(zip(plant.G[i], _image(plant.G[i], states))):
             found.setdefault((row + 0.0).tobytes(), (
                 argument_name(sensor.terms[i], j), Limit(i, j, float(low), float(high))))
-    for j, (name, (low, high)) in enumerate(zip(plant.inputs, inputs)):
-        if np.isfinite(low) and any(name in names(parse(sensor.terms[i].text))
-                                    for i in _feeding_terms(sensor)):
-            found[name] = name, Limit(None, j, float(low), float(high))
+    for j in _used_inputs(sensor):
+        if np.isfinite(inputs[j]).any():
+            low, high = map(float, inputs[j])
+            found[plant.inputs[j]] = plant.inputs[j], Limit(None, j, low, high)
     return tuple(found.values())
 
 

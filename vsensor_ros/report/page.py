@@ -19,7 +19,7 @@ from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.plant.plant import affine_node
+from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import design_text, for_a_time, report_simulation
 from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.text_file import looked_in
@@ -163,8 +163,7 @@ def _plant(plant: Plant) -> str:
 
     measures = []
     for i, sensor in enumerate(plant.sensors):
-        row = [*plant.C[i], *plant.Cu[i], *plant.Cd[i]]
-        text = to_text(affine_node(row, (*plant.states, *plant.inputs, *plant.disturbances)))
+        text = to_text(measures_node(plant, i))
         sigma = plant.noise[i]
         measures.append((f'<code>{escape(sensor)}</code>{_unit(plant, sensor)}',
                          f'<code>{escape(text)}</code>',
@@ -180,6 +179,7 @@ def _plant(plant: Plant) -> str:
              ('unknown inputs', '; '.join(acts) or 'none'),
              ('nonlinear terms', ', '.join(f'<code>{escape(t.name)}</code>' for t in plant.terms)
               or 'none')]
+    facts += [('note', escape(remark)) for remark in plant.remarks]
     return ('<h2>The plant</h2>' + _facts(facts) + _table(
         measures, ('sensor', 'measures', 'noise (standard deviation)'), (2,)))
 
