@@ -129,7 +129,8 @@ def test_identification_form_of_order_three_and_its_correct_gain(tank_y1):
     N = A_star + J[:, [0]] @ Cv
     np.testing.assert_allclose(sorted_spectrum(np.linalg.eigvals(N)),
                                sorted_spectrum(paper['eig_N_without_K']), atol=1e-6)
-    candidate = Candidate(Phi, N, J[:, [1]], Cv, np.zeros((1, 1)))
+    candidate = Candidate(Phi, N, J[:, [1]] * tank_y1.y0_size, Cv / tank_y1.v_size,
+                          np.zeros((1, 1)))
     placed = next(papers.with_residual(tank_y1, candidate, np.array([-1.0, -2.0, -3.0])))
     gain = (candidate.N - placed.N)[:, 0]
     np.testing.assert_allclose(gain, paper['K_correct'], atol=1e-8)

@@ -137,7 +137,7 @@ def of_family(ground: Ground, family: Family) -> list[JudgedCandidate]:
     if k > MOST_MODES:
         return []
     fixed = fixed_roots(family)
-    if f + len(fixed) == k and not repeated(fixed):
+    if f + len(fixed) == k and not repeated(fixed, ground.known.still):
         if decay_of(fixed, ground.noise.sample_time) <= margin(
                 family, ground.noise.sample_time):
             return []
@@ -152,13 +152,14 @@ def of_family(ground: Ground, family: Family) -> list[JudgedCandidate]:
 def of_spectra(ground: Ground, spectra: Iterable[np.ndarray]) -> list[JudgedCandidate]:
     """Return the quietest virtual sensor of one functional for each spectrum."""
     return _varied(ground, [with_spectrum(ground.known, ground.noise, s) for s in spectra
-                            if not repeated(s)])
+                            if not repeated(s, ground.known.still)])
 
 
 def _with_member(ground: Ground, family: Family, theta: np.ndarray) -> Solutions | None:
     roots = family.roots(theta)
-    solved = None if repeated(roots) else with_spectrum(ground.known, ground.noise, roots)
-    return solved or with_polynomial(ground.known, ground.noise, family.member(theta))
+    known, noise = ground.known, ground.noise
+    solved = None if repeated(roots, known.still) else with_spectrum(known, noise, roots)
+    return solved or with_polynomial(known, noise, family.member(theta))
 
 
 def _varied(ground: Ground, spectra: Iterable[Solutions | None]) -> list[JudgedCandidate]:
@@ -243,7 +244,7 @@ def _quieted(ground: Ground, family: Family, members: list[np.ndarray]) -> np.nd
 
     start = min(members, key=cost)
     steps = np.eye(len(start)) * 0.1 * max(float(np.linalg.norm(start)),
-                                           0.1 * float(np.linalg.norm(family.M, 2)))
+                                           0.1 * family.size)
     found = minimize(cost, start, method='Nelder-Mead', options={
         'initial_simplex': np.vstack([start, start + steps]), 'maxfev': 40 * (1 + len(start)),
         'fatol': 1e-2, 'xatol': 1e-6})
@@ -265,16 +266,18 @@ def _templates(ground: Ground, count: int) -> list[np.ndarray]:
         if np.linalg.cond(right) < 1e12:
             weight = np.abs(ground.known.v[0] @ right) * np.linalg.norm(
                 np.linalg.solve(right, ground.noise.drives(ground.known)[0]), axis=1)
-            spectra += _dominant(values, weight, count)
+            spectra += _dominant(values, weight, count, ground.known.still)
     return spectra
 
 
-def _dominant(values: np.ndarray, weight: np.ndarray, count: int) -> list[np.ndarray]:
+def _dominant(values: np.ndarray, weight: np.ndarray, count: int,
+              still: float) -> list[np.ndarray]:
     """Return the ``count`` eigenvalues of most weight, pairs kept together, if that works out."""
     chosen: list[complex] = []
     for i in np.argsort(-weight):
         value = complex(values[i])
-        if value.imag < 0 or any(abs(value - c) < 1e-3 * abs(value) for c in chosen):
+        if value.imag < 0 or any(abs(value - c) < 1e-3 * abs(value - still)
+                                 for c in chosen):
             continue
         pair = [value] if value.imag == 0 else [value, value.conjugate()]
         if len(chosen) + len(pair) <= count:

@@ -56,7 +56,7 @@ def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
     size = max(known.speed, np.finfo(float).tiny)
     while True:
         while True:
-            A = known.A / size
+            A = known.motion / size
             rest = left_kernel(E @ U.T, size=1.0) if len(E) else None
             B = U if rest is None else image((U - (U @ E.T) @ E).T, size=1.0).T
             away = B @ A - (B @ A) @ U.T @ U  # what of B A leaves U
@@ -77,7 +77,7 @@ def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
         yield InvariantSpace(W, Nj[:, :k], Nj[:, k:] @ back, T @ back, Nc[:, :k], Nc[:, k:] @ back)
         if len(U) == known.order:
             return
-        grown = image(np.vstack([U, U @ known.A / size]).T).T
+        grown = image(np.vstack([U, U @ known.motion / size]).T).T
         if len(grown) == len(U):
             return
         U = grown
@@ -163,7 +163,8 @@ def _riccati(space: InvariantSpace, drive: np.ndarray, sample_time: float | None
     k, t = len(space.W), len(space.T)
     scale = max(float(np.trace(drive)) / k, float(np.finfo(float).tiny))
     drive = drive + 1e-6 * scale * np.eye(k)
-    gain = float(np.linalg.norm(space.Nc)) / max(float(np.linalg.norm(space.N, 2)), 1e-150)
+    moved = space.N if sample_time is None else space.N - np.eye(k)
+    gain = float(np.linalg.norm(space.Nc)) / max(float(np.linalg.norm(moved, 2)), 1e-150)
     typical = scale * max(gain**2 / t, 1e-300)
     for weight in WEIGHTS if k <= SMALL else WEIGHTS[1:2]:
         meter = weight * typical * np.eye(t)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,12 +39,18 @@ class Family:
 
     M: np.ndarray
     F: np.ndarray
-    speed: float  # size of the plant's A, against which rounding is measured
+    speed: float  # size of what moves the plant, against which rounding is measured
+    still: float = 0.0  # the root of what rests: 1 where d is the shift
 
     @property
     def free(self) -> bool:
         """Whether any spectrum can be had."""
         return len(self.F) == len(self.M)
+
+    @cached_property
+    def size(self) -> float:
+        """Return the size of M less what rests."""
+        return float(np.linalg.norm(self.M - self.still * np.eye(len(self.M)), 2))
 
     def member(self, theta: np.ndarray) -> np.ndarray:
         """Return the matrix (k, k) whose eigenvalues are the roots of one polynomial."""
@@ -66,7 +73,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
     at order 0, 1, .. (None: no polynomial), where exact arithmetic knows. Source: method 3.4.
     """
     speed = max(known.speed, float(np.finfo(float).tiny))
-    A = known.A / speed
+    A = known.motion / speed
     gap = Gap()
     seen = fresh = image(known.E.T, size=1.0, gap=gap)  # columns of E', E' and (E A)', ..
     krylov = [start_row(known)[0]]
@@ -104,7 +111,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
         M = H[:k].T.copy()
         M[-1] -= H[k, k - 1] * base[:k]
         F = image(free[:, :k].T).T
-        yield k, Family(speed * M, F, speed), here
+        yield k, Family(known.still * np.eye(k) + speed * M, F, speed, known.still), here
 
 
 def _off(basis: np.ndarray, X: np.ndarray) -> np.ndarray:

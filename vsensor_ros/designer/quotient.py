@@ -39,6 +39,7 @@ class Quotient:
     R: np.ndarray  # (c, l0)
     v: np.ndarray  # (p, r)
     q: np.ndarray  # (p, l0)
+    still: float = 0.0  # what A is of a state that rests: 1 where d is the shift
 
     @cached_property
     def spectrum(self) -> np.ndarray:
@@ -46,9 +47,14 @@ class Quotient:
         return np.linalg.eigvals(self.A).astype(complex)
 
     @cached_property
+    def motion(self) -> np.ndarray:
+        """Return A less what rests (r, r): it has the same invariant subspaces."""
+        return self.A - self.still * np.eye(len(self.A))
+
+    @cached_property
     def speed(self) -> float:
-        """Return the size of A."""
-        return float(np.linalg.norm(self.A, 2)) if len(self.A) else 0.0
+        """Return the size of what moves."""
+        return float(np.linalg.norm(self.motion, 2)) if len(self.A) else 0.0
 
     @property
     def order(self) -> int:
@@ -76,7 +82,7 @@ def quotient(problem: Problem, Phi: np.ndarray, gap: Gap | None = None) -> Quoti
     E = R @ C0 @ Phi.T  # of unit rows: what is less than rounding is nothing
     E[np.linalg.norm(E, axis=1) < RANK_TOLERANCE] = 0.0
     return Quotient(Phi, A, J @ problem.Y + Phi @ problem.F, E, R @ problem.Y,
-                    v, q @ problem.Y + problem.Qv)
+                    v, q @ problem.Y + problem.Qv, problem.still)
 
 
 def argument(problem: Problem, Phi: np.ndarray, g: np.ndarray) -> np.ndarray | None:

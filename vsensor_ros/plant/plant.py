@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import difflib
 import hashlib
 import re
@@ -176,6 +176,26 @@ class Plant:
             psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
             total = total + np.multiply.outer(column, psi)
         return total if rho is None else total + self.D @ _beside(rho, x)
+
+    def part(self, states: Sequence[int], sensors: Sequence[int], disturbances: Sequence[int],
+             terms: Sequence[int]) -> Plant:
+        """
+        Return a part of the plant with all its inputs, by the indices of what belongs to it.
+
+        Nothing else may act on these states, nor on what these sensors read.
+        """
+        x, y, rho, q = (list(chosen) for chosen in (states, sensors, disturbances, terms))
+        names = tuple(self.sensors[i] for i in y)
+        return replace(
+            self, states=tuple(self.states[i] for i in x), sensors=names,
+            disturbances=tuple(self.disturbances[i] for i in rho),
+            A=self.A[np.ix_(x, x)], B=self.B[x], C=self.C[np.ix_(y, x)], D=self.D[np.ix_(x, rho)],
+            P=self.P[np.ix_(x, q)], G=tuple(self.G[i][:, x] for i in q),
+            terms=tuple(self.terms[i] for i in q), initial=self.initial[x], noise=self.noise[y],
+            operating_point=self.operating_point[x], Cu=self.Cu[y], Cd=self.Cd[np.ix_(y, rho)],
+            process_noise=self.process_noise[x], ranges=self.ranges[x], slow=self.slow[x],
+            tolerances={name: size for name, size in self.tolerances.items() if name in names},
+            wrap=self.wrap[y])
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
