@@ -250,7 +250,7 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     """Add how far its stability is proved, its start may be off, and how its channel tracks it."""
     if isinstance(entry, VirtualSensor):
         return replace(tracked(problem, started(problem, entry)),
-                       certificate=certify(problem.plant, entry))
+                       certificate=entry.certificate or certify(problem.plant, entry))
     return entry
 
 

@@ -21,6 +21,7 @@ import numpy as np
 import yaml
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.affine import affine
 from vsensor_ros.functions.expression import (
     check_name,
     fold,
@@ -32,7 +33,7 @@ from vsensor_ros.functions.expression import (
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
-from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
+from vsensor_ros.plant.split import check_split, Split, split_equations, with_addends
 from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes

@@ -31,6 +31,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
 )
 
+DIGITS = 6        # of the numbers in the name of a term
 LARGEST = 1e75    # of an entry: products of four must not overflow
 _ARGUMENT = re.compile(r'w[0-9]+')
 
@@ -268,11 +269,17 @@ def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0)
 
 
 def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
-    """Return a nonlinear term in the plant's names: 'sqrt(level1 - level2)'."""
+    """Return a nonlinear term in the plant's names, 'sqrt(level1 - level2)', numbers rounded."""
     if not len(g) and text == '1':
         return 'constant'
     arguments = {w: affine_node(row, states) for w, row in zip(argument_names(len(g)), g)}
-    return to_text(substitute(parse(text), arguments))
+    return to_text(_rounded(substitute(parse(text), arguments)))
+
+
+def _rounded(node: Node) -> Node:
+    if isinstance(node, Apply):
+        return Apply(node.function, tuple(map(_rounded, node.arguments)))
+    return Number(float(f'{node.value:.{DIGITS}g}')) if isinstance(node, Number) else node
 
 
 def _beside(values: Any, x: np.ndarray) -> np.ndarray:
