@@ -206,7 +206,7 @@ def test_terms_with_measured_arguments_only_count_in_the_bound():
     c = certify(*system([[-1.0]], [[1.0]], ['w1**2'], **term, ranges=[[-9, 9], [-1, 2]]))
     assert c.status == 'global' and c.region == ()
     assert c.bound == pytest.approx(1 + 2 * 4, rel=1e-3)
-    assert 'while the states stay in the given ranges' in c.reason
+    assert 'while states and inputs stay in the given ranges' in c.reason
 
 
 # ---------------------------------------------------------------------- the papers' cases
@@ -341,7 +341,7 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
 
 
 def test_the_range_of_an_input_bounds_the_slopes_that_it_scales():
-    """d e = -2 e - u (sin x - sin(x - e)): the slope along x is within +-max |u|."""
+    """D e = -2 e - u (sin x - sin(x - e)): the slope along x is within +-max |u|."""
     def of(limits):
         return certify(*system([[-2]], [[0.0]], ['u1*sin(w1)'], [[1.0]], [[[1.0]]], [[[0.0]]],
                                inputs=1, input_range=limits))

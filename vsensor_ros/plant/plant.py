@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     check_name,
@@ -76,6 +77,10 @@ class Plant:
     slow: np.ndarray                    # (n,) bool: offsets, which only drift
     tolerances: dict[str, float]        # by sensor: how far off an estimate of it may be
     wrap: np.ndarray                    # (l,), what a turn is in each reading, NaN: it wraps not
+    curves: dict[str, Curve]            # by sensor that shows an offset, or a curve, of its y
+    input_delay: np.ndarray             # (m,) s, u acts so much later than it is given
+    sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
+    sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
@@ -91,6 +96,8 @@ class Plant:
                       ranges: Any = None, input_range: Any = None,
                       disturbance_range: Any = None, slow: Sequence[str] = (),
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
+                      curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
+                      sensor_delay: Any = None, sensor_rate: Any = None,
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
@@ -105,7 +112,10 @@ class Plant:
         ranges (n, 2), low < high, -inf and inf where unknown; input_range (m, 2) and
         disturbance_range (d, 2) likewise. slow: names of states that only drift; tolerances: how
         far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
-        NaN where nothing wraps. where: what error lines call the source. Raises BadInput.
+        NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
+        input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
+        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
+        what error lines call the source. Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -168,7 +178,10 @@ class Plant:
                                       'an unknown input'),
             slow=_marks(slow, state_names, where),
             tolerances=_tolerances(tolerances or {}, sensor_names, where),
-            wrap=_turns(wrap, len(c), where))
+            wrap=_turns(wrap, len(c), where), curves=_curves(curves or {}, sensor_names, where),
+            input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
+            sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
+            sensor_rate=_rates(sensor_rate, len(c), where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -214,8 +227,17 @@ class Plant:
             of = np.flatnonzero(row)
             ends = np.sort(row[of, None] * known[of], axis=1).sum(axis=0)
             if len(of) and np.isfinite(ends).all():
-                ranges[name] = (float(ends[0]), float(ends[1]))
+                low, high = float(ends[0]), float(ends[1])
+                curve = self.curves.get(name)
+                if curve is not None and not curve.beside:
+                    low, high = sorted((curve.shown(low), curve.shown(high)))
+                ranges[name] = low, high
         return ranges
+
+    def delays(self) -> dict[str, float]:
+        """Return the dead times [s] of inputs and sensors, by name, of those that have one."""
+        every = zip((*self.inputs, *self.sensors), (*self.input_delay, *self.sensor_delay))
+        return {name: float(delay) for name, delay in every if delay}
 
     def hash(self) -> str:
         """Return the SHA-256 of what a design depends on: names, arrays, terms, noise, start."""
@@ -236,6 +258,11 @@ class Plant:
             add('wrap', self.wrap)
         if np.isfinite(self.input_range).any() or np.isfinite(self.disturbance_range).any():
             add('ranges', self.input_range, self.disturbance_range)
+        for name, curve in sorted(self.curves.items()):
+            add('curve', name, curve.offset, curve.text, curve.low, curve.high,
+                sorted(curve.beside.items()))
+        if self.delays() or not np.isnan(self.sensor_rate).all():
+            add('delays', sorted(self.delays().items()), self.sensor_rate)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -250,7 +277,8 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
 
 
-def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0) -> Node:
+def affine_node(row: Sequence[float] | np.ndarray, names: Sequence[str],
+                offset: float = 0.0) -> Node:
     """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
     total: Node | None = None
     for factor, name in zip(row, names):
@@ -266,6 +294,18 @@ def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0)
     if offset:
         return Apply('+' if offset > 0.0 else '-', (total, Number(abs(float(offset)))))
     return total
+
+
+def measures_node(plant: Plant, i: int) -> Node:
+    """Return what the i-th sensor shows, in the plant's names."""
+    names = (*plant.states, *plant.inputs, *plant.disturbances)
+    row = np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]])
+    curve = plant.curves.get(plant.sensors[i], Curve())
+    if not curve.text:
+        return affine_node(row, names, curve.offset)
+    beside = np.array([curve.beside.get(name, 0.0) for name in names])
+    bent = substitute(parse(curve.text), {'w1': affine_node(row - beside, names)})
+    return Apply('+', (bent, affine_node(beside, names))) if beside.any() else bent
 
 
 def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
@@ -398,6 +438,36 @@ def _tolerances(given: Mapping[str, float], sensors: tuple[str, ...],
         raise BadInput(where, 'tolerances', f'{shown(dict(given))} holds one that is not positive',
                        'give how far off an estimate may be')
     return dict(zip(given, sizes.tolist()))
+
+
+def _curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
+            where: object) -> dict[str, Curve]:
+    for name, curve in given.items():
+        if name not in sensors:
+            raise BadInput(where, 'curves', f'unknown sensor {shown(name)}',
+                           suggestion(name, sensors))
+        curve.check(where, f'curves.{name}')
+    return dict(given)
+
+
+def _delays(value: Any, count: int, sample_time: Any, where: object, key: str) -> np.ndarray:
+    array = _vector(value, np.zeros(count), where, key)
+    if (array < 0.0).any():
+        raise BadInput(where, key, f'{shown(value)} is negative somewhere', 'give times in s')
+    if array.any() and sample_time is not None:
+        steps = array / _sample_time(sample_time, where)
+        if (abs(steps - np.rint(steps)) > 1e-6).any():
+            raise BadInput(where, key, f'{shown(value)} is no whole number of samples',
+                           f'give multiples of {sample_time:g} s')
+    return array
+
+
+def _rates(value: Any, count: int, where: object) -> np.ndarray:
+    array = _vector(value, np.full(count, np.nan), where, 'sensor_rate', unknown=True)
+    if (array <= 0.0).any():
+        raise BadInput(where, 'sensor_rate', f'{shown(value)} is not above 0 somewhere',
+                       'give readings a second, NaN where unknown')
+    return array
 
 
 def _sample_time(value: Any, where: object) -> float | None:
