@@ -206,7 +206,7 @@ def test_terms_with_measured_arguments_only_count_in_the_bound():
     c = certify(*system([[-1.0]], [[1.0]], ['w1**2'], **term, ranges=[[-9, 9], [-1, 2]]))
     assert c.status == 'global' and c.region == ()
     assert c.bound == pytest.approx(1 + 2 * 4, rel=1e-3)
-    assert 'while the states stay in the given ranges' in c.reason
+    assert 'while states and inputs stay in the given ranges' in c.reason
 
 
 # ---------------------------------------------------------------------- the papers' cases
@@ -338,6 +338,20 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
     assert 0.1 * 0.5 / (1 - slowest) <= c.bound <= 3 * 0.1 * 0.5 / (1 - slowest)
     steep = certify(replace(plant, ranges=np.array([[0.0, 9], [0, 4], [0, 4]])), sensor)
     assert steep.status == 'none' or all(limit.low > 0 for limit in steep.region)
+
+
+def test_the_range_of_an_input_bounds_the_slopes_that_it_scales():
+    """D e = -2 e - u (sin x - sin(x - e)): the slope along x is within +-max |u|."""
+    def of(limits):
+        return certify(*system([[-2]], [[0.0]], ['u1*sin(w1)'], [[1.0]], [[[1.0]]], [[[0.0]]],
+                               inputs=1, input_range=limits))
+
+    c = of([[-0.5, 1.5]])
+    assert c.status == 'region' and c.rate == pytest.approx(0.5, rel=0.02)
+    assert c.region == (Limit(0, 0, -np.inf, np.inf), Limit(None, 0, -0.5, 1.5))
+    assert 'keep u1 in [-0.5, 1.5]' in c.reason
+    # one side alone bounds no slope, so a box about the operating input is made, within it
+    assert of([[-np.inf, 0.5]]).region[1] == Limit(None, 0, -1.0, 0.5)
 
 
 # --------------------------------------------------------------------------- properties

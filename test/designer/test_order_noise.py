@@ -285,6 +285,23 @@ def test_supersets_of_a_lost_set_are_lost_for_the_same_reason():
         design(plant, up_to=0)
 
 
+@pytest.mark.parametrize(('sample_time', 'rates'), [(None, (100.0, 6.25)), (0.1, (10.0, 2.5))])
+def test_a_quarter_of_the_readings_is_as_good_as_twice_the_noise(sample_time, rates):
+    """A filter over many readings hears their intensity, noise^2 / rate, alone."""
+    def floor(noise, rate):
+        plant = Plant.from_matrices(
+            [[0, 1], [0, 0]] if sample_time is None else [[1, 0.1], [0, 1]], None,
+            [[1, 0], [0, 1]], sample_time=sample_time, process_noise=[1e-3, 1e-2],
+            noise=[noise, noise], sensor_rate=[rate, np.nan])
+        return design(plant, [('y2',)])['y2', 'y2'].noise.floor
+
+    factor = (rates[0] / rates[1])**0.5
+    # but for the newest reading, which counts alone, too
+    assert floor(0.1, rates[1]) == pytest.approx(floor(0.1 * factor, rates[0]), rel=0.03)
+    assert floor(0.1, rates[1]) > 1.1 * floor(0.1, rates[0])
+    assert floor(0.1, rates[0]) == pytest.approx(floor(0.1, np.nan), rel=1e-6)
+
+
 @settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1))
 def test_sensors_may_read_commands_and_unknown_inputs(seed):

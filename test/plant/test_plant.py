@@ -87,6 +87,13 @@ def test_noise_and_ranges_of_the_states():
     assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3], [1, np.inf]]
 
 
+def test_readings_lie_where_ranges_of_inputs_and_unknown_inputs_put_them():
+    plant = tank(D=[1, 0, 0], Cu=[[2, 0], [0, 0]], Cd=[0, -1], ranges=[[0, 5]] * 3,
+                 input_range=[[-1, 3], [0, np.inf]], disturbance_range=[[0, 4]])
+    assert plant.reading_ranges() == {'y1': (-2.0, 11.0), 'y2': (-4.0, 5.0)}
+    assert tank(Cu=[[2, 0], [0, 0]], ranges=[[0, 5]] * 3).reading_ranges() == {'y2': (0.0, 5.0)}
+
+
 def test_sensors_of_one_angle_whatever_their_units():
     C = [[180.0 / np.pi, 0.0], [-1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
     plant = Plant.from_matrices(np.zeros((2, 2)), None, C,
@@ -119,6 +126,7 @@ def test_hash_depends_on_what_a_design_depends_on():
         tank(P=np.array(P) * (1 + 1e-15)), tank(G=-np.array(G)), tank(D=[1, 0, 0]),
         tank(Cu=[[0, 0], [0, 1]]), tank(Cu=[[0, 1], [0, 0]]), tank(D=[1, 0, 0], Cd=[0, 1]),
         tank(wrap=[1, 2]), tank(noise=[1, 2]),
+        tank(input_range=[[0, 1]] * 2),
         tank(process_noise=[1, 2, 3]), tank(ranges=[[0, 1]] * 3),
         tank(nonlinearities=[NonlinearTerm('', 'w1 - sqrt(w1)', np.ones(1))] * 3)]
     assert len({first, *(plant.hash() for plant in changed)}) == 1 + len(changed)
@@ -204,6 +212,7 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'ranges': [[0, 1], [np.inf, np.inf], [0, 1]]}, 'a low that is not below its high'),
     ({'ranges': [[0, 1], [0, np.nan], [0, 1]]}, 'ranges: holds NaN'),
     ({'ranges': [[0, 1], [0, 1e76], [0, 1]]}, 'ranges: holds a number beyond 1e+75'),
+    ({'input_range': [[0, 1]]}, 'input_range: has shape (1, 2); give 2 rows of low and high'),
     ({'wrap': [360.0]}, 'wrap: [360.0] does not fit; give 2 numbers'),
     ({'wrap': [360.0, 0.0]}, 'wrap: [360.0, 0.0] is not above 0 somewhere'),
     ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),

@@ -8,6 +8,7 @@ import re
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.plant import load_plant
@@ -197,6 +198,11 @@ def test_noise_and_range_of_a_state(tmp_path):
     assert plant.ranges.tolist() == [[0, 10], [-np.inf, 3]]
     plain = load_plant(written(tmp_path, TANK))
     assert np.isnan(plain.process_noise).all() and np.isinf(plain.ranges).all()
+    assert np.isinf(plain.input_range).all() and np.isinf(plain.disturbance_range).all()
+    driven = load_plant(written(tmp_path, TANK.replace('operating: 0.5', 'range: [0, b]').replace(
+        'leak: {', 'leak: {range: [null, 1], ')))
+    assert driven.input_range.tolist() == [[0, 2]]
+    assert driven.disturbance_range.tolist() == [[-np.inf, 1]]
 
 
 def test_a_sensor_that_wraps(tmp_path):
@@ -218,7 +224,97 @@ def test_parameters_may_use_earlier_ones(tmp_path):
         2**0.5 * 0.3 / np.pi)
 
 
+NAMED = TANK.replace('dynamics:', """definitions:
+  head: level1 - level2
+  flow: {value: b*sqrt(head), unit: m/s}
+  drag: 0.1*sign(level2)
+  both: 2*flow + drag + head
+dynamics:""").replace('u1/area - b*sqrt(level1 - level2)', 'u1/area - both + flow').replace(
+    'level2: b*sqrt(level1 - level2) -', 'level2: flow*level2 + tanh(flow) - drag -')
+PLAIN = TANK.replace('u1/area - b*sqrt(level1 - level2)', 'u1/area - 2*b*sqrt(level1 - level2) '
+                     '- 0.1*sign(level2) - (level1 - level2) + b*sqrt(level1 - level2)').replace(
+    'level2: b*sqrt(level1 - level2) -', 'level2: b*sqrt(level1 - level2)*level2 '
+    '+ tanh(b*sqrt(level1 - level2)) - 0.1*sign(level2) -')
+
+
+def test_definitions_are_printed_by_name_and_change_nothing(tmp_path):
+    named, plain = (load_plant(written(tmp_path, text)) for text in (NAMED, PLAIN))
+    assert sorted(t.name for t in named.terms) == [
+        'flow', 'flow*level2', 'sign(level2)', 'sqrt(level2)', 'tanh(flow)']
+    x, u = np.random.default_rng(1).uniform(0, 3, (2, 2, 50)), np.ones((1, 50))
+    assert np.allclose(named.rate_of_change(x[0], u), plain.rate_of_change(x[0], u), atol=1e-12)
+    assert np.allclose(named.A, plain.A) and np.array_equal(named.C, plain.C)
+
+
+def test_elements_of_arrays_and_whole_arrays(tmp_path):
+    listed = TANK.replace('b: 2.0,', 'k: [1, 4/2, [3, 4]], b: "k[1]*k[2][1]/4",')
+    plant = load_plant(written(tmp_path, listed))
+    assert plant.parameters == {'k[0]': 1, 'k[1]': 2, 'k[2][0]': 3, 'k[2][1]': 4, 'b': 2,
+                                'area': 4}
+    assert plant.hash() == load_plant(written(tmp_path, TANK)).hash()
+    whole = ARRAYS.replace('{b: 0.5}', '{b: 0.5, M: [[1, 0], [0.5, 0.5]]}').replace(
+        '[[1, 0], [b, 1 - b]]', 'M')
+    assert load_plant(written(tmp_path, whole)).hash() == \
+        load_plant(written(tmp_path, ARRAYS)).hash()
+
+
+def test_rates_may_be_per_hour(tmp_path):
+    per = [load_plant(written(tmp_path, text.replace('initial: 2.0', 'process_noise: 0.3')))
+           for text in (TANK, TANK.replace('time: continuous', 'time: continuous\ntime_unit: h'))]
+    x, u = [3.0, 1.0], [0.5]
+    assert per[1].rate_of_change(x, u) == pytest.approx(per[0].rate_of_change(x, u) / 3600)
+    assert np.allclose(per[1].A, per[0].A / 3600) and per[1].process_noise[0] == 0.3 / 60
+
+
+POINTS = '[[0, 3.0], [1, 5.0], [3, 6.0]]'
+
+
+@pytest.mark.parametrize('shape', ['linear', 'cubic'])
+def test_lookup_tables_in_equations_and_sensors(tmp_path, shape):
+    text = TANK.replace('{b: 2.0,', f'{{points: {POINTS}, b: 2.0,').replace('dynamics:', (
+        f'definitions: {{pump: {{value: level1 - level2, table: points, interpolation: {shape}}}}}'
+        '\ndynamics:')).replace('u1/area -', 'u1/area - b*pump -').replace(
+        'initial: 2.0', 'initial: 2.0, range: [0, 3]').replace(
+        'measures: level1,', f'measures: level1, table: {POINTS}, interpolation: {shape},')
+    plant = load_plant(written(tmp_path, text))
+    if shape == 'linear':
+        def table(x):
+            return np.interp(x, [0, 1, 3], [3, 5, 6])
+    else:
+        table = PchipInterpolator([0, 1, 3], [3, 5, 6])
+    bare = load_plant(written(tmp_path, TANK))
+    assert 'pump' in [term.name for term in plant.terms]
+    for level in (1.2, 2.0, 3.9):
+        x = [level, 1.0]
+        assert plant.rate_of_change(x, [0.0])[0] == pytest.approx(
+            bare.rate_of_change(x, [0.0])[0] - 2 * table(level - 1.0))
+    curve = plant.curves['y1']
+    at = np.linspace(0.1, 2.9, 7)
+    assert [curve.shown(plant.C[0, 0] * level) for level in at] == pytest.approx(list(table(at)))
+    assert [curve.linear(float(table(level))) / plant.C[0, 0] for level in at] == \
+        pytest.approx(list(at))
+    assert plant.units['y1'] == ''
+
+
 CHANGES = [
+    ('dynamics:', 'definitions: {level1: 2}\ndynamics:', 'definitions: level1 is also one of the'),
+    ('dynamics:', 'definitions: {f: g}\ndynamics:', "definitions.f: unknown name 'g'"),
+    ('dynamics:', 'definitions: {f: {unit: m}}\ndynamics:', 'definitions.f.value: is missing'),
+    ('measures: level1,', 'measures: level1, table: [[0, 1], [0, 2]],',
+     'sensors.y1.table: the table has points that do not rise in x; give [x, y] by rising x'),
+    ('measures: level1,', 'measures: level1, table: [[0, 1]],', 'does not have 2 to 100 points'),
+    ('measures: level1,', 'measures: level1, table: 5,', 'table: 5 is no list of points'),
+    ('measures: level1,', 'measures: level1, interpolation: cubic,', 'stands there without a t'),
+    ('measures: level1,', 'measures: level1, table: [[0, 1], [1, 2]], interpolation: quartic,',
+     "sensors.y1.interpolation: 'quartic' is not known; write linear or cubic"),
+    ('measures: level1,', 'measures: level1, delay: -1,', 'sensors.y1.delay: -1 is negative'),
+    ('measures: level1,', 'measures: level1, stamp_offset: -1,', 'stamp_offset: -1 is negative'),
+    ('measures: level1,', 'measures: level1, rate: 0,', 'sensors.y1.rate: 0 is not above 0'),
+    ('operating: 0.5', 'delay: -1', 'inputs.u1.delay: -1 is negative'),
+    ('time: continuous', 'time: {sample_time: 0.3}\ntime_unit: h', 'stands beside a sample time'),
+    ('time: continuous', 'time: continuous\ntime_unit: year', "time_unit: 'year' is not known"),
+    ('b: 2.0', 'b: [[[1]]]', 'parameters.b[0][0]: is a list in a list in a list'),
+    ('b: 2.0', 'b: [2]', "unknown name 'b'; known names: level1, level2, u1, leak, b[0], area"),
     # (old text, new text, what the line says)
     ('name: tank', '', 'name: is missing; write name: my_plant'),
     ('name: tank', 'name: [1]', 'name: [1] is not a text of one line'),
@@ -242,13 +338,13 @@ CHANGES = [
     ('sqrt(level2) + leak', 'sqrt(level2 + leak)', 'the unknown input leak is inside'),
     ('  y2:', '  y1:', "line 17: 'y1' stands there twice (first in line 16); give each name once"),
     ('inputs:', 'states:', "'states' stands there twice"),
-    ('measures: level1,', 'measures: sqrt(level1),',
-     "sensors.y1.measures: 'sqrt(level1)' is not linear in the states"),
-    ('measures: level1,', 'measures: level1 + 1,', 'has an offset'),
-    ('measures: level1,', 'measures: b,', 'has an offset'),
+    ('measures: level1,', 'measures: sqrt(level1),', "sensors.y1.measures: 'sqrt(level1)' is a "
+     'curve, and level1 has no range in which to invert it; give it one: range: [low, high]'),
+    ('measures: level1,', 'measures: b,', "'b' holds no state"),
     ('measures: level1,', 'measures: 0,', '0 holds no state'),
     ('measures: level1,', 'measures: u9,', "sensors.y1.measures: unknown name 'u9'"),
-    ('measures: level1,', 'measures: level1*u1,', 'is not linear in the states, inputs, dist'),
+    ('measures: level1,', 'measures: level1*u1,', 'no curve of one linear combination of states, '
+     'but of 2 quantities'),
     ('measures: level1,', 'measures: u1 - u1,', 'holds no state, input, disturbance'),
     ('initial: 2.0', 'process_noise: -1', 'states.level1.process_noise: -1 is negative'),
     ('initial: 2.0', 'process_noise: .inf', 'states.level1.process_noise: inf is not finite'),
@@ -265,7 +361,8 @@ CHANGES = [
     ('noise: 1e-3', 'tolerance: 0', 'sensors.y1.tolerance: 0 is not positive'),
     ('noise: 1e-3', 'tolerance: b - 3', 'sensors.y1.tolerance: -1 is not positive'),
     ('noise: 1e-3', 'tolerance: much', "sensors.y1.tolerance: unknown name 'much'"),
-    ('unit: m^3/s,', 'range: [0, 1],', "inputs.u1: unknown key 'range'"),
+    ('unit: m^3/s,', 'range: [1, 0],', 'inputs.u1.range: 1 is not below 0'),
+    ('leak: {', 'leak: {range: 1, ', 'disturbances.leak.range: 1 is not two numbers'),
     ('measures: level1,', '', 'sensors.y1.measures: is missing; say which state'),
     ('measures: level1,', 'mesures: level1,', "unknown key 'mesures'; did you mean measures?"),
     ('measures: level1,', 'measures: level1, unit: 5,', 'sensors.y1.unit: 5 is not a text'),

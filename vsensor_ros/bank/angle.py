@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from vsensor_ros.bank.readings import Samples
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.reason import Reason
 
 MOST_TURNS = 1e9  # of a reading; beyond them its angle is lost in rounding
@@ -76,22 +77,26 @@ class Angles(Samples):
 
     The first, and the first after more than `max_age` [ns], is put next to what `alike` say of the
     same angle then: others, each with a factor to the unit of these. Else it stays as it came.
+    offset: by how much readings lie above the angle.
     """
 
-    def __init__(self, angle: Angle, max_age: int, learns: bool = True) -> None:
+    def __init__(self, angle: Angle, max_age: int, offset: float = 0.0,
+                 learns: bool = True) -> None:
         super().__init__()
         self.alike: Sequence[tuple[Angles, float]] = ()
-        self._angle, self._max_age, self._learns = angle, max_age, learns
+        self._angle, self._max_age, self._offset = angle, max_age, offset
+        self._learns = learns
 
     def apart(self) -> Angles:
         """Return an empty one for readings that are not believed."""
-        return Angles(self._angle, self._max_age, learns=False)
+        return Angles(self._angle, self._max_age, self._offset, learns=False)
 
     def add(self, stamp: int, value: float, latest_wins: bool = False) -> Reason | None:
         """Append a sample; return why not."""
         if abs(value) > MOST_TURNS * self._angle.turn:
             return NO_ANGLE
-        reason = super().add(stamp, self._angle.next_to(value, self._near(stamp)), latest_wins)
+        reason = super().add(stamp, self._angle.next_to(
+            value - self._offset, self._near(stamp)), latest_wins)
         if reason is None and self._learns:
             self._angle.learn(value)
         return reason
@@ -107,9 +112,10 @@ class Angles(Samples):
 
 
 def samples_of(turns: Mapping[str, float], angles: Mapping[str, Angle],
-               ages: Mapping[str, int]) -> dict[str, Samples]:
+               ages: Mapping[str, int], curves: Mapping[str, Curve]) -> dict[str, Samples]:
     """Return empty samples of sensors of one angle; turns: of each, negative if it runs back."""
-    found = {name: Angles(angles[name], ages[name]) for name in turns}
+    found = {name: Angles(angles[name], ages[name],
+                          curves[name].offset if name in curves else 0.0) for name in turns}
     for name, samples in found.items():
         samples.alike = [(other, turns[name] / turns[of])
                          for of, other in found.items() if of != name]

@@ -46,6 +46,10 @@ class Bank(Steps):
                          if row in tracked}
         self._guard = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
                        for t in self._batch.tracked]
+        # by output of a sensor that shows a curve: it, and what that adds of commands (m,)
+        self._curves = {i: (design.curves[name], np.array(
+            [design.curves[name].beside.get(u, 0.0) for u in design.inputs]))
+            for i, (_, name) in enumerate(self._batch.keys) if name in design.curves}
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -56,9 +60,10 @@ class Bank(Steps):
         output = self._running(fault_set, channel)
         if output is None:
             return None
-        if self._estimates is None:
-            self._estimates = self._estimates_at(self._past[-1])
-        value = float(self._estimates[output])
+        if channel in self._shifts:  # it would speak of earlier
+            said = self.recall(fault_set, channel, self._at(self._past[-1].tick))
+            return None if said is None else said[0]
+        value = self._shown(output, self._linear_now(output), self._past[-1])
         return value if math.isfinite(value) else None
 
     def recall(self, fault_set: Iterable[str], channel: str, time: int,
@@ -70,6 +75,7 @@ class Bank(Steps):
         virtual sensor did not run then, or nothing is known of that time any more.
         """
         output = self._output.get((frozenset(fault_set), channel))
+        time += self._shifts.get(channel, 0)
         if output is None or not self._past or time < self._at(self._past[0].tick):
             return None
         steps, rest = divmod(time - self._at(self._past[0].tick), self.period)
@@ -85,8 +91,13 @@ class Bank(Steps):
         if not math.isfinite(value):
             return None
         deviation = self._deviation(output, before, self._unseen_at(before))
-        return value, deviation, self._batch.interval(
-            output, self._runs.serving(before.z), before.told, self._age(output, before))
+        interval = self._batch.interval(output, self._runs.serving(before.z), before.told,
+                                        self._age(output, before))
+        if output in self._curves:
+            deviation *= self._steepness(output, value, before)
+            interval = self._shown_interval(output, interval, before)
+            value = self._shown(output, value, before)
+        return value, deviation, interval
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
@@ -147,6 +158,7 @@ class Bank(Steps):
         i = None if output is None else self._tracked.get(output)
         if output is None or i is None or not self._past:
             return math.inf
+        limit /= self._steepness(output)
         if self._is_free(output) and self._runs.lost(i):
             age = self._age(output) if self._flies(i) else math.inf
             unseen = float(self._unseen_now()[output])
@@ -184,6 +196,11 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
+        found = self._deviation_by_now(output)
+        return found * self._steepness(output) if output in self._curves else found
+
+    def _deviation_by_now(self, output: int) -> float:
+        """Return the deviation of a linear reading, by the run that serves or would."""
         served = self._deviation(output, self._past[-1], self._unseen_now()) \
             if self._past[-1].running[self._row(output)] else math.inf
         i = self._tracked.get(output)
@@ -203,14 +220,20 @@ class Bank(Steps):
         What a fault did before its isolation is not in it. None: they were not compared yet.
         """
         output = self._output.get((frozenset(fault_set), channel))
-        return None if output is None else self._measured.record.rehearsal(output)
+        found = None if output is None else self._measured.record.rehearsal(output)
+        if output not in self._curves or found is None:
+            return found
+        steep = self._steepness(output)
+        return found._replace(mean=steep * found.mean, rms=steep * found.rms,
+                              worst=steep * found.worst, error=steep * found.error)
 
     def beside(self, channel: str) -> float | None:
         """Return the channel's believed reading at `time`; None when there is none."""
         if channel in self._told.distrusted or not self._past:
             return None
-        time = self._at(self._past[-1].tick)
-        return self._told.samples[channel].interpolated(time, self._told.ages[channel])
+        time = self._at(self._past[-1].tick) + self._shifts.get(channel, 0)
+        return self._told.shown(channel, self._told.samples[channel].interpolated(
+            time, self._told.ages[channel]), time)
 
     def interval(self, fault_set: Iterable[str], channel: str) -> tuple[float, float] | None:
         """
@@ -222,8 +245,8 @@ class Bank(Steps):
         if output is None:
             return None
         state = self._past[-1]
-        return self._batch.interval(output, self._runs.serving(state.z), state.told,
-                                    self._age(output))
+        return self._shown_interval(output, self._batch.interval(
+            output, self._runs.serving(state.z), state.told, self._age(output)), state)
 
     def residual(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -232,8 +255,10 @@ class Bank(Steps):
         Readings of an isolated sensor count here: it tells whether the sensor has recovered.
         """
         output = self._output.get((frozenset(fault_set), channel))
-        return None if output is None or channel not in self.sensors else \
-            self._residual(output, self._at_grid_time(channel, self._told.said(channel)))
+        if output is None or channel not in self.sensors:
+            return None
+        found = self._residual(output, self._at_grid_time(channel, self._told.said(channel)))
+        return None if found is None else found * self._steepness(output)
 
     def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -257,10 +282,10 @@ class Bank(Steps):
             centre = float(record.centre[output])
             spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
         known = not math.isnan(centre)
-        value = self._residual(output, last)
+        value, steep = self._residual(output, last), self._steepness(output)
         if value is not None and abs(value - (centre if known else 0.0)) <= _OUT_OF_LINE * spread:
-            return value
-        return centre if known else None
+            return value * steep
+        return centre * steep if known else None
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
@@ -385,6 +410,36 @@ class Bank(Steps):
         state = self._past[-1]
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
                                    self._age(output))
+
+    def _linear_now(self, output: int) -> float:
+        """Return the linear reading that is estimated now."""
+        if self._estimates is None:
+            self._estimates = self._estimates_at(self._past[-1])
+        return float(self._estimates[output])
+
+    def _shown(self, output: int, linear: float, state: State) -> float:
+        """Return what a sensor shows of its linear reading."""
+        if output not in self._curves:
+            return linear
+        curve, beside = self._curves[output]
+        return curve.shown(linear, float(beside @ state.told.held) if curve.beside else 0.0)
+
+    def _shown_interval(self, output: int, interval: tuple[float, float] | None,
+                        state: State) -> tuple[float, float] | None:
+        if output not in self._curves or interval is None:
+            return interval
+        low, high = sorted(self._shown(output, end, state) for end in interval)
+        return low, high
+
+    def _steepness(self, output: int, linear: float | None = None,
+                   state: State | None = None) -> float:
+        """Return by what a small difference of linear readings is to be multiplied; by now."""
+        if output not in self._curves or not self._curves[output][0].text:
+            return 1.0
+        curve, beside = self._curves[output]
+        linear = self._linear_now(output) if linear is None else linear
+        state = state or self._past[-1]
+        return curve.slope(linear, float(beside @ state.told.held) if curve.beside else 0.0)
 
     def _estimates_at(self, state: State) -> np.ndarray:
         with np.errstate(all='ignore'):

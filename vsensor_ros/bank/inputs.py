@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 import math
+from types import MappingProxyType
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.angle import Angle, samples_of
 from vsensor_ros.bank.commands import Command, End
-from vsensor_ros.bank.readings import BACKWARDS, Samples, Seen
+from vsensor_ros.bank.readings import BACKWARDS, Curved, Samples, Seen
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers import Told
 from vsensor_ros.reason import Reason
 
@@ -31,19 +33,22 @@ class Inputs:
     `ages`: the max_age of each sensor. `Cu` (L, m): what is taken out of a reading, None: nothing.
     `held`: whether somebody asks for the commands that hold at a time. `ends`: of commands that do
     not hold for ever, with a max_age of at least `least`. `wrap`: of each angle the sensors that
-    wrap, see `Contents`.
+    wrap; `curves`: of sensors, what they show of their linear readings; see `Contents`. `shifts`:
+    of stamps, by name; a command's lie ahead by so much.
     """
 
     def __init__(self, ages: Mapping[str, int], commands: Sequence[str], Cu: np.ndarray | None,
                  held: bool, ends: Mapping[str, End], least: int,
-                 wrap: Sequence[Mapping[str, float]] = ()) -> None:
+                 wrap: Sequence[Mapping[str, float]] = (),
+                 curves: Mapping[str, Curve] = MappingProxyType({}),
+                 shifts: Mapping[str, int] = MappingProxyType({})) -> None:
         self.ages, self.commands, self._wants_held = ages, commands, held
         self._ends, self._least = ends, least
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
         self.distrusted: frozenset[str] = frozenset()
-        self._wrap = wrap
+        self._wrap, self._curves, self._shifts = wrap, curves, shifts
         self.angles = {name: Angle(abs(turn)) for turns in wrap for name, turn in turns.items()}
         self._floors: dict[str, float] = {}  # by sensor: up to this stamp it is not believed
         self.reset()
@@ -53,7 +58,11 @@ class Inputs:
         held = {name: Command(self._ends.get(name), self._least) for name in self.commands}
         samples: dict[str, Samples] = {**{name: Samples() for name in self.ages}, **held}
         for turns in self._wrap:
-            samples |= samples_of(turns, self.angles, self.ages)
+            samples |= samples_of(turns, self.angles, self.ages, self._curves)
+        for name, curve in self._curves.items():
+            if name not in self.angles:
+                beside = [(gain, held[u]) for u, gain in curve.beside.items()]
+                samples[name] = Curved(curve, beside)
         self.samples, self._held = samples, held
         seen: list[Seen] = [[(float(gain), held[name])
                              for gain, name in zip(row, self.commands) if gain]
@@ -133,7 +142,8 @@ class Inputs:
             samples.drop_after(now + self._ahead(name))
 
     def _ahead(self, name: str) -> int:
-        return min(self.ages.get(name, self.oldest), MOST_AHEAD)
+        return min(self.ages.get(name, self.oldest), MOST_AHEAD) + max(
+            self._shifts.get(name, 0), 0)
 
     def distrust(self, names: Collection[str], now: int | None) -> None:
         """Believe only readings of these sensors that come after they are trusted again."""
@@ -152,7 +162,7 @@ class Inputs:
 
     def confirmed(self, time: int, without: Iterable[str]) -> bool:
         """Tell whether every sensor that is not silent, nor named, has said what it is then."""
-        return all(stamps[-1] >= time or time - stamps[-1] > age
+        return all(stamps[-1] >= time + self._shifts.get(name, 0) or time - stamps[-1] > age
                    for name, age in self.ages.items()
                    if name not in without and (stamps := self.samples[name].stamps))
 
@@ -196,6 +206,14 @@ class Inputs:
         """Return what a sensor has said last, believed or kept apart."""
         samples = self.samples[name]
         return samples if samples.stamps else self._apart.get(name, samples)
+
+    def shown(self, name: str, linear: float | None, time: int) -> float | None:
+        """Return what a sensor shows of a linear reading of a time."""
+        if linear is None or name not in self._curves:
+            return linear
+        curve = self._curves[name]
+        return curve.shown(linear, sum(gain * (self._held[u].held(time) or 0.0)
+                                       for u, gain in curve.beside.items()))
 
     def last_stamps(self) -> list[int | None]:
         """Return the last stamp of each sensor."""

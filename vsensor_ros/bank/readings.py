@@ -6,6 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import Protocol
 
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.reason import Reason
 
 _MOST = 2**16  # samples kept at most, whatever is sent
@@ -97,6 +98,27 @@ class Held(Protocol):
 
 # gains of commands in a reading, and these commands
 Seen = Sequence[tuple[float, Held]]
+
+
+class Curved(Samples):
+    """Samples of a sensor that shows a curve of its linear reading: that is what they say."""
+
+    def __init__(self, curve: Curve, beside: Seen) -> None:
+        """Begin; beside: the commands that are added to the curve."""
+        super().__init__()
+        self._curve, self._beside = curve, beside
+
+    def apart(self) -> Samples:
+        """Return an empty one for readings that are not believed."""
+        return Curved(self._curve, self._beside)
+
+    def interpolated(self, time: int, max_age: int, seen: Seen = ()) -> float | None:
+        """Return the linear reading's value at a time [ns], see `Samples`."""
+        i, near = max(bisect_right(self.stamps, time) - 1, 0), Samples()
+        near.stamps = self.stamps[i:i + 2]
+        near.values = [self._curve.linear(value, _of_commands(self._beside, stamp))
+                       for stamp, value in zip(near.stamps, self.values[i:i + 2])]
+        return near.interpolated(time, max_age, seen)
 
 
 def _of_commands(seen: Seen, time: int) -> float:

@@ -68,6 +68,12 @@ class Steps:
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         ages = ages_of(design.sensors, max_age, 3 * self.period)
+        # by which stamps are put on: a reading tells of earlier, a command acts later
+        self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
+                        for name, delay in design.delays.items()}
+        ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
+        # what comes late by itself is paid for
+        self._redone = _REDONE - min(self._shifts.values(), default=0) // self.period
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
         if jump_ahead is not None and not jump_ahead > 0.0:
@@ -93,8 +99,10 @@ class Steps:
         self._by_itself = self._everyone.copy()  # who starts when all that it needs is there
         self._by_itself[self._runs.free] = False
         check_ends(command_ends, design.inputs)
-        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or Cu is not None,
-                            command_ends, 3 * self.period, design.wrap)
+        held = Cu is not None or any(curve.beside for curve in design.curves.values())
+        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or held,
+                            command_ends, 3 * self.period, design.wrap, design.curves,
+                            self._shifts)
         self.angles = self._told.angles  # by sensor that wraps
         self._measured = Measured(self._batch, ages, self.period, Cu, short_way)
         # what was not used, but of isolated sensors, by channel and reason
@@ -139,6 +147,8 @@ class Steps:
         """
         latest = math.inf if self._now is None else max(
             self._now, self._now + self.period if now is None else now)
+        if name in self._shifts:
+            stamp, latest = stamp + self._shifts[name], latest + min(0, self._shifts[name])
         changed = self._told.take(name, int(stamp), float(value), latest)
         if isinstance(changed, Reason):
             if changed is not ISOLATED:
@@ -161,7 +171,7 @@ class Steps:
 
     def spoil(self, name: str, time: int) -> None:
         """Note that a command came at a time [ns] that could not be read; KeyError if unknown."""
-        self._told.spoil(name, time)
+        self._told.spoil(name, time + self._shifts.get(name, 0))
 
     def distrust(self, names: Iterable[str], now: int | None = None,
                  onsets: Mapping[str, int] = MappingProxyType({})) -> None:
@@ -333,7 +343,7 @@ class Steps:
             self._redo = None
             return
         newest = self._past[-1].tick
-        self._credit = min(self._credit + _REDONE * max(0, last - newest), self._span)
+        self._credit = min(self._credit + self._redone * max(0, last - newest), self._span)
         if self._redo is None:
             return
         steps = newest - max(self._redo, self._past[0].tick, newest - self._span)

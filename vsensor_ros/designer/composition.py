@@ -74,7 +74,7 @@ def _with_readings(plant: Plant, exact: VirtualSensor, problem: Problem) -> Plan
     k = exact.order
     noise, scaled = noise_model(problem), _scaled(problem, exact)
     B = np.hstack([scaled.Phi * noise.process,
-                   -scaled.J * noise.reading * np.sqrt(noise.interval)])
+                   -scaled.J * noise.intensity])
     shown = [np.sqrt(noise.variance(scaled.N, B, row[None, :], np.zeros((1, len(exact.healthy)))))
              for row in np.eye(k)]
     names: list[str] = []
@@ -87,7 +87,8 @@ def _with_readings(plant: Plant, exact: VirtualSensor, problem: Problem) -> Plan
         plant, sensors=(*plant.sensors, *names), C=np.vstack([plant.C, exact.Phi]),
         Cu=np.vstack([plant.Cu, np.zeros((k, plant.Cu.shape[1]))]),
         Cd=np.vstack([plant.Cd, np.zeros((k, plant.Cd.shape[1]))]),
-        noise=np.concatenate([plant.noise, shown]))
+        noise=np.concatenate([plant.noise, shown]),
+        sensor_rate=np.concatenate([plant.sensor_rate, np.full(k, np.nan)]))
 
 
 def _cascade(plant: Plant, exact: VirtualSensor, below: VirtualSensor, clear: list[int],

@@ -84,7 +84,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
                   dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals),
                   Cu=plant.Cu if plant.Cu.any() else None, tolerances=dict(plant.tolerances),
-                  ranges=plant.reading_ranges(), wrap=plant.angles())
+                  ranges=plant.reading_ranges(), wrap=plant.angles(), curves=dict(plant.curves),
+                  delays=plant.delays())
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -253,7 +254,7 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     """Add how far its stability is proved, its start may be off, and how its channel tracks it."""
     if isinstance(entry, VirtualSensor):
         return replace(tracked(problem, started(problem, entry)),
-                       certificate=certify(problem.plant, entry))
+                       certificate=entry.certificate or certify(problem.plant, entry))
     return entry
 
 

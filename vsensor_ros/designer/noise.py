@@ -2,10 +2,11 @@
 What noise does to an estimate, and the least that it can do: the Kalman filter's error.
 
 Readings carry white noise of the plant's standard deviations, one value each INTERVAL (or, when
-the plant's own rates ask for it, faster); states are moved by the plant's process noise. Where the
-plant gives no figures, readings err by RELATIVE of what their states' natural sizes make of them
-(see natural_size.py), and the process moves a state by ROUGH times as much within a mean time
-constant: the model is rougher than the sensors. A slow state is moved by SLOW of that.
+the plant's own rates ask for it, faster), or at the rate that is given of the sensor; states are
+moved by the plant's process noise. Where the plant gives no figures, readings err by RELATIVE of
+what their states' natural sizes make of them (see natural_size.py), and the process moves a state
+by ROUGH times as much within a mean time constant: the model is rougher than the sensors. A slow
+state is moved by SLOW of that.
 """
 
 from __future__ import annotations
@@ -36,11 +37,17 @@ class NoiseModel:
     """Noise in the scaled coordinates of a problem."""
 
     reading: np.ndarray  # (l0,) standard deviations of single readings
+    lasts: np.ndarray  # (l0,) s, or steps, between readings of each sensor
     process: np.ndarray  # (n,) standard deviations per sqrt(s), or per step
     interval: float  # s between readings; 1 for a discrete plant
     sample_time: float | None
     assumed: bool  # some figures are defaults
     usual: float  # of process, where it is not given
+
+    @property
+    def intensity(self) -> np.ndarray:
+        """Intensity (l0,) of white noise in the readings, per sqrt(Hz), or per step."""
+        return np.asarray(self.reading * np.sqrt(self.lasts))
 
     def drives(self, known: Quotient) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -48,14 +55,13 @@ class NoiseModel:
 
         ``d xi = A xi + B w``, ``R y0 = E xi + D w`` as a filter sees them, that takes in y0.
         """
-        sigma = self.reading * np.sqrt(self.interval)
+        sigma = self.intensity
         return (np.hstack([known.Phi * self.process, -known.J * sigma]),
                 np.hstack([np.zeros((len(known.E), len(self.process))), known.R * sigma]))
 
     def error(self, problem: Problem, candidate: Candidate) -> float:
         """Return the standard deviation of vhat's steady-state error, largest row, in its unit."""
-        sigma = self.reading * np.sqrt(self.interval)
-        B = np.hstack([candidate.Phi * self.process, -candidate.J * sigma])
+        B = np.hstack([candidate.Phi * self.process, -candidate.J * self.intensity])
         size = problem.v_size[:, None]
         return float(np.sqrt(max(0.0, self.variance(candidate.N, B, size * candidate.Cv,
                                                     size * candidate.Q))))
@@ -89,15 +95,28 @@ def usual_decay(problem: Problem) -> float:
 def noise_model(problem: Problem) -> NoiseModel:
     """Collect the noise of a problem's plant, with defaults where it gives none."""
     plant, rate = problem.plant, mean_rate(problem)
-    h = plant.sample_time
+    h, interval = plant.sample_time, interval_of(problem)
     given = plant.noise[[plant.sensors.index(s) for s in problem.healthy]] / problem.y0_size
     process = plant.process_noise / problem.scale
     usual = float(ROUGH * RELATIVE * np.sqrt(2.0 * rate * (1.0 if h is None else h)))
     return NoiseModel(
         given_or(given),
+        lasts_of(problem, [plant.sensors.index(s) for s in problem.healthy], interval),
         np.where(np.isnan(process), np.where(plant.slow, SLOW, 1.0) * usual, process),
-        min(INTERVAL, 1.0 / (PER_TIME_CONSTANT * rate)) if h is None else 1.0, h,
-        bool(np.isnan(given).any() or np.isnan(process).any()), usual)
+        interval, h, bool(np.isnan(given).any() or np.isnan(process).any()), usual)
+
+
+def interval_of(problem: Problem) -> float:
+    """Return the time [s] between readings of which no rate is given; a step when discrete."""
+    return 1.0 if problem.plant.sample_time is not None else \
+        min(INTERVAL, 1.0 / (PER_TIME_CONSTANT * mean_rate(problem)))
+
+
+def lasts_of(problem: Problem, sensors: list[int], interval: float) -> np.ndarray:
+    """Return the time [s], or steps, between readings of sensors by index."""
+    own = 1.0 / problem.plant.sensor_rate[sensors]
+    h = problem.plant.sample_time
+    return np.where(np.isnan(own), interval, own if h is None else np.maximum(own / h, 1.0))
 
 
 def given_or(given: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from scipy.linalg import LinAlgError, solve_continuous_lyapunov, solve_discrete_
 from vsensor_ros.designer.noise import (
     FAINTEST,
     given_or,
+    lasts_of,
     noise_model,
     NoiseModel,
     riccati,
@@ -38,9 +39,9 @@ def tracked(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     given = plant.noise[rows]
     own = given_or(given / problem.size_of(rows)) * problem.size_of(rows)
     W = growth(problem, noise, sensor.Phi, J)
-    h = noise.interval
-    meter = np.diag(own**2 * h) + (Q * reading**2 * h) @ Q.T
-    solved = _steady(N, C, W, meter, (J * reading**2 * h) @ Q.T, sensor.sample_time,
+    h, variance = lasts_of(problem, rows, noise.interval), reading**2 * noise.lasts
+    meter = np.diag(own**2 * h) + (Q * variance) @ Q.T
+    solved = _steady(N, C, W, meter, (J * variance) @ Q.T, sensor.sample_time,
                      np.linalg.norm(sensor.Phi * problem.scale, axis=1) * noise.usual)
     if solved is None:
         return sensor
@@ -59,13 +60,13 @@ def growth(problem: Problem, noise: NoiseModel, Phi: np.ndarray, J: np.ndarray) 
     time, how far a reading that is moved may be from the straight line between two samples, of
     mean square ``q^2 h / 6`` and with what it does to z ``q^2 h^2 / 12`` a second.
     """
-    plant, h = problem.plant, noise.interval
+    plant, h = problem.plant, noise.lasts
     process, reading = noise.process * problem.scale, noise.reading * problem.y0_size
     moved = (J * reading) * np.sqrt(h)
     parts = [Phi * process, moved]
     if noise.sample_time is None:
         rows = [plant.sensors.index(s) for s in problem.healthy]
-        parts.append(J @ (plant.C[rows] * process) * (h / np.sqrt(12.0)))
+        parts.append((J * (h / np.sqrt(12.0))) @ (plant.C[rows] * process))
     both = np.hstack(parts)
     return np.asarray(both @ both.T)
 

@@ -25,8 +25,9 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.functions.catalogue import CATALOGUE
 from vsensor_ros.functions.function import Function
 from vsensor_ros.functions.operators import OPERATORS
+from vsensor_ros.functions.table import pieces, TABLES, wrong_points
 
-MAX_CHARACTERS = 2000
+MAX_CHARACTERS = 8000  # a table of a hundred points
 MAX_DEPTH = 50
 CONSTANTS = {'pi': math.pi}
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -61,7 +62,7 @@ _BINARY: dict[type, str] = {ast.Add: '+', ast.Sub: '-', ast.Mult: '*', ast.Div: 
                             ast.Pow: '**'}
 _WORDS: dict[type, str] = {
     ast.Attribute: 'an attribute (a dot after a name)', ast.Lambda: 'lambda',
-    ast.Compare: 'a comparison', ast.IfExp: 'if ... else', ast.Subscript: 'an index [ ]',
+    ast.Compare: 'a comparison', ast.IfExp: 'if ... else',
     ast.BoolOp: 'and / or', ast.BitXor: '^ (a power is written **)',
     ast.Tuple: 'a comma (a decimal is written with a point)', ast.Mod: '%',
     ast.FloorDiv: '//', ast.MatMult: '@', ast.ListComp: 'a comprehension',
@@ -119,7 +120,7 @@ def check_name(name: object, where: object, key: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise BadInput(where, key, f'{shown(name)} is not a name',
                        'use letters, digits and _, beginning with a letter')
-    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS:
+    if keyword.iskeyword(name) or name in CATALOGUE or name in CONSTANTS or name in TABLES:
         raise BadInput(where, key, f'{name} is a word of the expression language',
                        f'choose another name, such as {name}_')
     return name
@@ -159,6 +160,8 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
             raise BadInput(where, key, f'{tree.id} is a function',
                            f'write {tree.id}(...) or rename the variable')
         return Number(CONSTANTS[tree.id]) if tree.id in CONSTANTS else Name(tree.id)
+    if isinstance(tree, ast.Subscript):
+        return Name(_indexed(tree, refused))
     if isinstance(tree, ast.BinOp):
         if type(tree.op) not in _BINARY:
             raise refused(_word(tree.op))
@@ -173,6 +176,9 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
             raise refused('a call of a call' if isinstance(tree.func, ast.Call)
                           else _word(tree.func))
         name = tree.func.id
+        if name in TABLES and tree.args and not tree.keywords:
+            return table_node(name, *(_whitelisted(a, where, key, depth + 1) for a in tree.args),
+                              where=where, key=key)
         if name not in CATALOGUE:
             near = difflib.get_close_matches(name, CATALOGUE, 1)
             hint = f'did you mean {near[0]}? ' if near else ''
@@ -187,6 +193,29 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
                            f'it takes {arity}')
         return Apply(name, tuple(_whitelisted(a, where, key, depth + 1) for a in tree.args))
     raise refused(_word(tree.op if isinstance(tree, ast.UnaryOp) else tree))
+
+
+def _indexed(tree: ast.expr, refused: Callable[[str], BadInput]) -> str:
+    """Return the name of an element of an array: 'k[0]', 'k[1][2]'."""
+    if isinstance(tree, ast.Name):
+        return tree.id
+    if not isinstance(tree, ast.Subscript):
+        raise refused('an index of what is no name')
+    index = tree.slice.elts if isinstance(tree.slice, ast.Tuple) else [tree.slice]
+    whole = [i.value for i in index if isinstance(i, ast.Constant) and type(i.value) is int]
+    if len(whole) < len(index):
+        raise refused('an index that is no whole number')
+    return _indexed(tree.value, refused) + ''.join(f'[{i:d}]' for i in whole)
+
+
+def table_node(name: str, of: Node, *points: Node, where: object, key: str) -> Node:
+    """Return a lookup table of a node; raise BadInput unless the points are numbers that rise."""
+    numbers = [point.value for point in points if isinstance(point, Number)]
+    wrong = 'holds a point that is no number' if len(numbers) < len(points) \
+        else wrong_points(numbers)
+    if wrong:
+        raise BadInput(where, key, f'the table {wrong}', 'give [x, y] by rising x')
+    return Apply(name, (of, *points))
 
 
 def _word(tree: ast.AST) -> str:
@@ -277,7 +306,7 @@ def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
 
 def function_of(node: Apply) -> Function:
     """Return the catalogue entry of what a node applies."""
-    return OPERATORS.get(node.function) or CATALOGUE[node.function]
+    return OPERATORS.get(node.function) or CATALOGUE.get(node.function) or TABLES[node.function]
 
 
 def compile_node(node: Node, fetch: Mapping[str, Closure]) -> Closure:
@@ -292,6 +321,10 @@ def compile_node(node: Node, fetch: Mapping[str, Closure]) -> Closure:
     if isinstance(node, Name):
         return fetch[node.id]
     function = function_of(node).value
+    if node.function in TABLES:
+        table = pieces(node.function == 'smooth_table', tuple(_constants(node.arguments[1:])))
+        of = compile_node(node.arguments[0], fetch)
+        return lambda at: table(of(at))
     if len(node.arguments) == 1:
         only = compile_node(node.arguments[0], fetch)
         return lambda at: function(only(at))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.entry import Entry, Key, Refusal
 
 
@@ -32,6 +33,10 @@ class Contents:
     # sensors that wrap: of each angle who reads it, and what a turn is in that reading, negative
     # if it runs the other way
     wrap: tuple[Mapping[str, float], ...] = ()
+    # by sensor that shows an offset, or a curve, of its linear reading
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+    # [s] by command: when it acts after it was given; by sensor: what it says is so old
+    delays: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.Cu is not None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, reason
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry, Key, Refusal
@@ -82,6 +83,9 @@ def _to_record(design: Contents) -> dict[str, Any]:
             **({'ranges': {name: list(limits) for name, limits in design.ranges.items()}}
                if design.ranges else {}),
             **({'wrap': [dict(turns) for turns in design.wrap]} if design.wrap else {}),
+            **({'curves': {name: _curve_record(curve) for name, curve in design.curves.items()}}
+               if design.curves else {}),
+            **({'delays': dict(design.delays)} if design.delays else {}),
         },
         'wanted': list(design.wanted),
         'entries': [_entry_record(entry) for entry in design.each_once()],
@@ -107,7 +111,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     top.only(('format', 'version', 'plant', 'wanted', 'entries'))
     plant = top.object('plant')
     plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
-                'tolerances', 'ranges', 'wrap'))
+                'tolerances', 'ranges', 'wrap', 'curves', 'delays'))
     states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
     sample_time = None
     if plant.record.get('sample_time', 0) is not None:
@@ -123,7 +127,9 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     entries: dict[Key, Entry | Refusal] = {}
     design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
                       sample_time, entries, wanted, Cu, _read_tolerances(plant, sensors),
-                      _read_ranges(plant, sensors), _read_wrap(plant, sensors))
+                      _read_ranges(plant, sensors), _read_wrap(plant, sensors),
+                      _read_curves(plant, sensors, inputs),
+                      _read_delays(plant, (*sensors, *inputs)))
     for reader in top.objects('entries'):
         channel, fault_set = _read_key(reader, design)
         entry: Entry | Refusal
@@ -141,12 +147,12 @@ def _from_record(record: Any, path: str | Path) -> Contents:
 
 
 def _read_tolerances(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, float]:
-    reader = _by_sensor(plant, 'tolerances', sensors)
+    reader = _by_name(plant, 'tolerances', sensors)
     return {name: reader.positive(name) for name in reader.record}
 
 
 def _read_ranges(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    reader = _by_sensor(plant, 'ranges', sensors)
+    reader = _by_name(plant, 'ranges', sensors)
     ranges = {}
     for name in reader.record:
         low, high = reader.array(name, 2)
@@ -171,12 +177,42 @@ def _read_wrap(plant: CheckedObject,
     return tuple(angles)
 
 
-def _by_sensor(plant: CheckedObject, key: str, sensors: tuple[str, ...]) -> CheckedObject:
-    """Return an object whose keys are sensors; an empty one where there is none."""
+def _curve_record(curve: Curve) -> dict[str, Any]:
+    if not curve.text:
+        return {'offset': curve.offset}
+    return {'function': curve.text, 'low': curve.low, 'high': curve.high,
+            'beside': dict(curve.beside)}
+
+
+def _read_curves(plant: CheckedObject, sensors: tuple[str, ...],
+                 inputs: tuple[str, ...]) -> dict[str, Curve]:
+    every = _by_name(plant, 'curves', sensors)
+    curves = {}
+    for name in every.record:
+        reader = every.object(name)
+        if 'offset' in reader.record:
+            reader.only(('offset',))
+            curves[name] = Curve(reader.number('offset'))
+            continue
+        reader.only(('function', 'low', 'high', 'beside'))
+        beside = _by_name(reader, 'beside', inputs)
+        curves[name] = Curve(0.0, reader.text('function'), reader.number('low'),
+                             reader.number('high'), {u: beside.number(u) for u in beside.record})
+        curves[name].check(plant.path, f'{every.place}{name}')
+    return curves
+
+
+def _read_delays(plant: CheckedObject, names: tuple[str, ...]) -> dict[str, float]:
+    reader = _by_name(plant, 'delays', names)
+    return {name: reader.positive(name) for name in reader.record}
+
+
+def _by_name(plant: CheckedObject, key: str, names: tuple[str, ...]) -> CheckedObject:
+    """Return an object whose keys are such names; an empty one where there is none."""
     if key not in plant.record:
         return CheckedObject(plant.path, f'{plant.place}{key}.', {})
     reader = plant.object(key)
-    reader.only(sensors)
+    reader.only(names)
     return reader
 
 

@@ -82,6 +82,8 @@ class Certificate:
     region: tuple[Limit, ...]  # where it holds; empty when global
     lipschitz: tuple[float, float] | None  # the papers' condition holds when left < right
     reason: str  # one sentence
+    # where in the plant's declared ranges nothing is proved, in words; '': proved in all of them
+    uncovered: str = ''
 
     def __post_init__(self) -> None:
         self.S.flags.writeable = False

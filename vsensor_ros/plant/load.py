@@ -2,11 +2,12 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), parameters, states (unit,
-initial, process_noise, range, slow), inputs (unit, operating), disturbances (unit), sensors
-(measures, unit, noise, tolerance, wrap), operating_point, and the right-hand side: dynamics, one
-equation a state, or matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of
-which combinations of states). Every number may be an expression of the parameters. What is wrong
-gives one BadInput line that names the file, the place and the mend.
+initial, process_noise, range, slow), inputs (unit, operating, range, delay), disturbances (unit,
+range), sensors (measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate),
+operating_point, and the right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu,
+Cd, D, P with nonlinearities (function over w1.., of which combinations of states). Every number
+may be an expression of the parameters. What is wrong gives one BadInput line that names the file,
+the place and the mend.
 """
 
 from __future__ import annotations
@@ -21,24 +22,41 @@ import numpy as np
 import yaml
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.affine import affine
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
+    Apply,
     check_name,
     fold,
+    function_of,
     Node,
     Number,
     parse,
     substitute,
+    table_node,
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
+from vsensor_ros.plant.dead_time import with_registers
+from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plant import check_distinct, plain_name, Plant, suggestion
-from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
+from vsensor_ros.plant.split import (
+    addends,
+    check_split,
+    Split,
+    split_equations,
+    with_addends,
+)
 from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes
 LARGEST_SECTION = 1000   # states, inputs, ...; keeps a forged file from eating the memory
-_TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'disturbances',
-        'dynamics', 'matrices', 'nonlinearities', 'sensors', 'operating_point')
+_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'definitions', 'states',
+        'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
+        'operating_point')
+_SECONDS = {'us': 1e-6, 'ms': 1e-3, 's': 1.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
+_TABLE = ('table', 'interpolation')
+_SHAPES = {'linear': 'table', 'cubic': 'smooth_table'}
 
 
 class _Loader(yaml.SafeLoader):
@@ -116,6 +134,9 @@ class _File:
             raise BadInput(path, '', 'is empty', 'write a plant file')
         self.content = self.mapping(content, '', _TOP)
         self.parameters: dict[str, float] = {}
+        self.arrays: dict[str, list[Any]] = {}
+        self.definitions: dict[str, Node] = {}  # without names of others
+        self.written: dict[str, Node] = {}  # those whose names give way to what they are
 
     def fail(self, key: str, problem: str, mend: str) -> BadInput:
         return BadInput(self.path, key, problem, mend)
@@ -156,20 +177,83 @@ class _File:
         return node.value
 
     def expression(self, value: Any, key: str, variables: Iterable[str]) -> Node:
-        node = parse(value, self.path, key, known=(*variables, *self.parameters))
-        return fold(substitute(node, self.parameters), self.path, key)
+        return fold(substitute(self.by_name(value, key, variables), self.definitions), self.path,
+                    key)
 
-    def linear(self, value: Any, key: str, variables: Sequence[str],
-               kinds: tuple[str, ...] = ('state',)) -> np.ndarray:
-        """Read a linear expression as one row over the variables, which are of these kinds."""
-        form = affine(self.expression(value, key, variables))
+    def by_name(self, value: Any, key: str, variables: Iterable[str]) -> Node:
+        """Read an expression in which definitions that are nonlinear addends keep their names."""
+        node = parse(value, self.path, key,
+                     known=(*variables, *self.parameters, *self.definitions))
+        return fold(substitute(substitute(node, self.parameters), self.written), self.path, key)
+
+    def read_parameters(self, parameters: Mapping[str, Mapping[str, Any]]) -> None:
+        for key, entry in parameters.items():
+            place = f'parameters.{key}'
+            value = self.required(entry, 'value', place, 'give its value')
+            if isinstance(value, list):
+                self.arrays[key] = value
+                self.array(value, key)
+            else:
+                self.parameters[key] = self.number(value, place)
+
+    def array(self, values: list[Any], name: str) -> None:
+        """Read the elements of an array as parameters of their own: k[0], k[1][2]."""
+        if len(self.parameters) + len(values) > LARGEST_SECTION:
+            raise self.fail('parameters', f'has more than {LARGEST_SECTION} numbers',
+                            'leave some out')
+        for i, value in enumerate(values):
+            element = f'{name}[{i}]'
+            if isinstance(value, list):
+                if name.count('['):
+                    raise self.fail(f'parameters.{element}', 'is a list in a list in a list',
+                                    'give rows of numbers')
+                self.array(value, element)
+            else:
+                self.parameters[element] = self.number(value, f'parameters.{element}')
+
+    def read_definitions(self, variables: Sequence[str]) -> None:
+        """Read intermediate expressions; a later one may use earlier ones."""
+        for name, entry in self.section('definitions', ('value', 'unit', *_TABLE),
+                                        'value').items():
+            place = f'definitions.{name}'
+            text = self.required(entry, 'value', place, 'write what it is')
+            node = self.tabled(self.by_name(text, place, variables), entry, place)
+            whole = fold(substitute(node, self.definitions), self.path, place)
+            linear, cores = addends(whole, self.path, place)
+            friction = [core for _, core in cores
+                        if isinstance(core, Apply) and function_of(core).set_valued]
+            if linear or len(cores) != 1 or friction:
+                self.written[name] = node
+            self.definitions[name] = whole
+
+    def tabled(self, node: Node, entry: Mapping[str, Any], place: str) -> Node:
+        """Return the lookup table of a node, where there is one; else itself."""
+        if 'table' not in entry:
+            if 'interpolation' in entry:
+                raise self.fail(f'{place}.interpolation', 'stands there without a table',
+                                'give table: [[x, y], ..]')
+            return node
+        rows, key = entry['table'], f'{place}.table'
+        rows = self.arrays.get(rows, rows) if isinstance(rows, str) else rows
+        if not isinstance(rows, list) or not all(isinstance(r, list) and len(r) == 2
+                                                 for r in rows):
+            raise self.fail(key, f'{shown(rows)} is no list of points', 'write [[x, y], [x, y]]')
+        shape = entry.get('interpolation', 'linear')
+        if shape not in _SHAPES:
+            raise self.fail(f'{place}.interpolation', f'{shown(shape)} is not known',
+                            f'write {" or ".join(_SHAPES)}')
+        points = [Number(self.number(v, f'{key}[{i}]')) for i, row in enumerate(rows) for v in row]
+        return table_node(_SHAPES[shape], node, *points, where=self.path, key=key)
+
+    def linear(self, value: Any, key: str, states: Sequence[str]) -> np.ndarray:
+        """Read a linear expression as one row over the states."""
+        form = affine(self.expression(value, key, states))
         if form is None or not form or '' in form:
-            every = ', '.join(f'{kind}s' for kind in kinds)
-            raise self.fail(key, f'{shown(value)} is not linear in the {every}' if form is None
+            raise self.fail(key, f'{shown(value)} is not linear in the states' if form is None
                             else f'{shown(value)} has an offset' if form
-                            else f'{shown(value)} holds no {", ".join(kinds)}',
-                            f'write a sum of {every} with factors, such as level1 - level2')
-        return np.array([form.get(name, 0.0) for name in variables])
+                            else f'{shown(value)} holds no state',
+                            'write a sum of states with factors, such as level1 - level2')
+        return np.array([form.get(name, 0.0) for name in states])
 
     def sample_time(self) -> float | None:
         value = self.content.get('time')
@@ -186,6 +270,17 @@ class _File:
             raise self.fail('time.sample_time', f'{seconds:g} is not positive', 'give seconds')
         return seconds
 
+    def time_unit(self, sample_time: float | None) -> float:
+        """Read how many seconds the equations' unit of time has."""
+        unit = self.content.get('time_unit', 's')
+        if unit not in _SECONDS:
+            raise self.fail('time_unit', f'{shown(unit)} is not known',
+                            f'write one of {", ".join(_SECONDS)}')
+        if 'time_unit' in self.content and sample_time is not None:
+            raise self.fail('time_unit', 'stands beside a sample time',
+                            'leave it out: the equations give the next values, not rates')
+        return _SECONDS[unit]
+
     def plant(self) -> Plant:
         name = self.content.get('name')
         if name is None:
@@ -193,23 +288,24 @@ class _File:
         if not isinstance(self.content.get('description', ''), str):
             raise self.fail('description', 'is not a text', 'put it in quotes')
         sample_time = self.sample_time()
+        unit = self.time_unit(sample_time)
         parameters = self.section('parameters', ('value', 'unit'), 'value')
         states = self.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
-        inputs = self.section('inputs', ('unit', 'operating'))
-        disturbances = self.section('disturbances', ('unit',))
-        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap'),
+        inputs = self.section('inputs', ('unit', 'operating', 'range', 'delay'))
+        disturbances = self.section('disturbances', ('unit', 'range'))
+        sensors = self.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap',
+                                           'delay', 'stamp_offset', 'rate', *_TABLE),
                                'measures')
         for key, entries in (('states', states), ('sensors', sensors)):
             if not entries:
                 raise self.fail(key, 'is missing or empty', f'name the {key}')
         check_distinct(self.path, {'states': tuple(states), 'inputs': tuple(inputs),
                                    'disturbances': tuple(disturbances),
-                                   'parameters': tuple(parameters)})
-        for key, entry in parameters.items():
-            place = f'parameters.{key}'
-            self.parameters[key] = self.number(
-                self.required(entry, 'value', place, 'give its value'), place)
-
+                                   'parameters': tuple(parameters),
+                                   'definitions': tuple(self.mapping(
+                                       self.content.get('definitions'), 'definitions'))})
+        self.read_parameters(parameters)
+        self.read_definitions((*states, *inputs, *disturbances))
         initial = np.array([self.number(e.get('initial', 0.0), f'states.{s}.initial')
                             for s, e in states.items()])
         u = np.array([self.number(e.get('operating', 0.0), f'inputs.{i}.operating')
@@ -224,32 +320,66 @@ class _File:
         slow = tuple(s for s, e in states.items() if self.truth(e, 'slow', f'states.{s}'))
         split, measured = self.right_hand_side(tuple(states), tuple(inputs),
                                                tuple(disturbances), point, u, slow)
-        everything = (*states, *inputs, *disturbances)
+        ranges = [self.ranges(key, entries) for key, entries in (
+            ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
+        groups = tuple(states), tuple(inputs), tuple(disturbances)
+        curves: dict[str, Curve] = {}
+        split, noisy = split.slower(unit), math.sqrt(unit)
         if measured is None:
-            measured = np.array([self.linear(
-                self.required(e, 'measures', f'sensors.{s}', 'say which state it measures'),
-                f'sensors.{s}.measures', everything, ('state', 'input', 'disturbance'))
-                for s, e in sensors.items()])
+            rows = []
+            for sensor, entry in sensors.items():
+                row, curve = self.measurement(
+                    sensor, entry, groups, np.vstack(ranges),
+                    np.concatenate([point, u, np.zeros(len(disturbances))]))
+                rows.append(row)
+                if curve is not None:
+                    curves[sensor] = curve
+            measured = np.array(rows)
         else:
             for sensor, entry in sensors.items():
                 if 'measures' in entry:
                     raise self.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                     'give one of the two')
+        late = {s: self.time(e, 'delay', f'sensors.{s}', sample_time)
+                for s, e in sensors.items()}
         C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
-        return Plant.from_matrices(
+        plant = Plant.from_matrices(
             split.A, split.B, C, split.D, sample_time, P=split.P, G=split.G,
             nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
             sensors=tuple(sensors), disturbances=tuple(disturbances),
             units=self.units(states, inputs, disturbances, sensors, measured), initial=initial,
             noise=[self.deviation(e, 'noise', f'sensors.{s}') for s, e in sensors.items()],
             parameters=self.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
-            process_noise=[self.deviation(e, 'process_noise', f'states.{s}')
+            process_noise=[self.deviation(e, 'process_noise', f'states.{s}') / noisy
                            for s, e in states.items()],
-            ranges=[self.range(e, f'states.{s}.range') for s, e in states.items()], slow=slow,
+            ranges=ranges[0], input_range=ranges[1], disturbance_range=ranges[2], slow=slow,
             tolerances={s: self.tolerance(e['tolerance'], f'sensors.{s}.tolerance')
                         for s, e in sensors.items() if 'tolerance' in e},
-            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()],
+            wrap=[self.turn(e, f'sensors.{s}.wrap') for s, e in sensors.items()], curves=curves,
+            input_delay=[self.time(e, 'delay', f'inputs.{i}', sample_time)
+                         for i, e in inputs.items()],
+            sensor_delay=[late[s] * (sample_time is None)
+                          + self.time(e, 'stamp_offset', f'sensors.{s}')
+                          for s, e in sensors.items()],
+            sensor_rate=[self.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
             name=name, where=self.path)
+        return plant if sample_time is None else with_registers(
+            plant, {s: round(delay / sample_time) for s, delay in late.items() if delay},
+            self.path)
+
+    def measurement(self, sensor: str, entry: Mapping[str, Any],
+                    groups: Sequence[Sequence[str]], ranges: np.ndarray,
+                    point: np.ndarray) -> tuple[np.ndarray, Curve | None]:
+        """Read what a sensor measures, see `measurement`."""
+        place = f'sensors.{sensor}.measures'
+        text = self.required(entry, 'measures', f'sensors.{sensor}',
+                             'say which state it measures')
+        node = self.tabled(self.expression(
+            text, place, [name for names in groups for name in names]), entry, f'sensors.{sensor}')
+        row, curve = measurement(node, text, groups, ranges, point, self.path, place)
+        if curve is not None and curve.text and 'wrap' in entry:
+            raise self.fail(place, 'is a curve, and wraps', 'leave out one of them')
+        return row, curve
 
     def required(self, entry: Mapping[str, Any], what: str, key: str, mend: str) -> Any:
         if entry.get(what) is None:
@@ -275,6 +405,25 @@ class _File:
                             'give what a turn is in its unit, such as 2*pi or 360')
         return value
 
+    def time(self, entry: Mapping[str, Any], what: str, place: str,
+             sample_time: float | None = None) -> float:
+        """Read a dead time [s], of whole samples where there is a sample time; else 0."""
+        value = self.number(entry.get(what, 0.0), f'{place}.{what}')
+        if value < 0.0:
+            raise self.fail(f'{place}.{what}', f'{value:g} is negative',
+                            'give by how many seconds it is late')
+        if sample_time and abs(value / sample_time - round(value / sample_time)) > 1e-6:
+            raise self.fail(f'{place}.{what}', f'{value:g} s is no whole number of samples',
+                            f'give a multiple of {sample_time:g}')
+        return value
+
+    def rate(self, entry: Mapping[str, Any], key: str) -> float:
+        """Read how many readings come in a second, NaN if that is not said."""
+        value = self.number(entry['rate'], key) if 'rate' in entry else math.nan
+        if value <= 0.0:
+            raise self.fail(key, f'{value:g} is not above 0', 'give readings a second')
+        return value
+
     def truth(self, entry: Mapping[str, Any], what: str, place: str) -> bool:
         """Read true or false; false when it is left out."""
         text = str(entry.get(what, 'false'))
@@ -289,6 +438,11 @@ class _File:
             raise self.fail(place, f'{size:g} is not positive',
                             'give how far off an estimate may be')
         return size
+
+    def ranges(self, section: str, entries: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+        """Read where each quantity of a section lives (.., 2)."""
+        return np.array([self.range(entry, f'{section}.{name}.range')
+                         for name, entry in entries.items()]).reshape(-1, 2)
 
     def range(self, entry: Mapping[str, Any], key: str) -> tuple[float, float]:
         """Read [low, high], where null leaves a side open."""
@@ -344,10 +498,12 @@ class _File:
                 raise self.fail(f'dynamics.{state}', 'is missing',
                                 'write one equation a state')
         variables = (*states, *inputs, *disturbances)
-        equations = [self.expression(texts[s], f'dynamics.{s}', variables) for s in states]
-        split = with_addends(split_equations(equations, states, inputs, disturbances,
-                                             self.path), point, inputs, u)
-        check_split(split, equations, states, inputs, disturbances, point, self.path)
+        equations = [self.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
+        split = with_addends(split_equations(
+            equations, states, inputs, disturbances, self.path, definitions=self.definitions),
+            point, inputs, u)
+        check_split(split, [fold(substitute(e, self.definitions)) for e in equations], states,
+                    inputs, disturbances, point, self.path)
         return split, None
 
     def matrices(self, states: tuple[str, ...], inputs: tuple[str, ...],
@@ -390,6 +546,8 @@ class _File:
     def matrix(self, value: Any, key: str, height: int, width: int) -> np.ndarray:
         if value is None and width:
             raise self.fail(key, 'is missing', f'give {height} rows of {width} numbers')
+        if isinstance(value, str):
+            value = self.arrays.get(value, value)
         rows = [[] for _ in range(height)] if value is None else value
         if isinstance(rows, list) and not any(isinstance(row, list) for row in rows):
             rows = [[v] for v in rows] if width == 1 else [rows]    # one column or row, flat

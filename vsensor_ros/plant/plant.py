@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     check_name,
@@ -31,6 +32,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
 )
 
+DIGITS = 6        # of the numbers in the name of a term
 LARGEST = 1e75    # of an entry: products of four must not overflow
 _ARGUMENT = re.compile(r'w[0-9]+')
 
@@ -70,9 +72,15 @@ class Plant:
     # state per sqrt(s)], discrete: [unit of the state per step]
     process_noise: np.ndarray
     ranges: np.ndarray                  # (n, 2), where the states live; -inf, inf where unknown
+    input_range: np.ndarray             # (m, 2), where the inputs live, as ranges
+    disturbance_range: np.ndarray       # (d, 2), and the unknown inputs
     slow: np.ndarray                    # (n,) bool: offsets, which only drift
     tolerances: dict[str, float]        # by sensor: how far off an estimate of it may be
     wrap: np.ndarray                    # (l,), what a turn is in each reading, NaN: it wraps not
+    curves: dict[str, Curve]            # by sensor that shows an offset, or a curve, of its y
+    input_delay: np.ndarray             # (m,) s, u acts so much later than it is given
+    sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
+    sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
@@ -85,8 +93,11 @@ class Plant:
                       noise: Any = None, parameters: Mapping[str, float] | None = None,
                       operating_point: Any = None, operating_input: Any = None,
                       Cu: Any = None, Cd: Any = None, process_noise: Any = None,
-                      ranges: Any = None, slow: Sequence[str] = (),
+                      ranges: Any = None, input_range: Any = None,
+                      disturbance_range: Any = None, slow: Sequence[str] = (),
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
+                      curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
+                      sensor_delay: Any = None, sensor_rate: Any = None,
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
@@ -98,10 +109,13 @@ class Plant:
         terms. Names default to x1.., u1.., y1.., rho1..; a sensor may be called as a state.
         A is taken as it stands: no formal addend is moved into it. Cu (l, m), Cd (l, d): zero
         when None; flat for one sensor or one column. process_noise (n,), NaN where unknown;
-        ranges (n, 2), low < high, -inf and inf where unknown. slow: names of states that only
-        drift; tolerances: how far off an estimate may be, by sensor. wrap (l,): of a heading that
-        jumps at +-pi 2 pi, NaN where nothing wraps. where: what error lines call the source.
-        Raises BadInput.
+        ranges (n, 2), low < high, -inf and inf where unknown; input_range (m, 2) and
+        disturbance_range (d, 2) likewise. slow: names of states that only drift; tolerances: how
+        far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
+        NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
+        input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
+        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
+        what error lines call the source. Raises BadInput.
         """
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
@@ -158,9 +172,16 @@ class Plant:
             Cu=_direct(Cu, len(c), b.shape[1], where, 'Cu'),
             Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
             process_noise=_noise(process_noise, n, where, 'process_noise'),
-            ranges=_ranges(ranges, n, where), slow=_marks(slow, state_names, where),
+            ranges=_ranges(ranges, n, where, 'ranges', 'a state'),
+            input_range=_ranges(input_range, b.shape[1], where, 'input_range', 'an input'),
+            disturbance_range=_ranges(disturbance_range, d.shape[1], where, 'disturbance_range',
+                                      'an unknown input'),
+            slow=_marks(slow, state_names, where),
             tolerances=_tolerances(tolerances or {}, sensor_names, where),
-            wrap=_turns(wrap, len(c), where))
+            wrap=_turns(wrap, len(c), where), curves=_curves(curves or {}, sensor_names, where),
+            input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
+            sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
+            sensor_rate=_rates(sensor_rate, len(c), where))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -195,7 +216,9 @@ class Plant:
             operating_point=self.operating_point[x], Cu=self.Cu[y], Cd=self.Cd[np.ix_(y, rho)],
             process_noise=self.process_noise[x], ranges=self.ranges[x], slow=self.slow[x],
             tolerances={name: size for name, size in self.tolerances.items() if name in names},
-            wrap=self.wrap[y])
+            wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
+            curves={name: curve for name, curve in self.curves.items() if name in names},
+            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y])
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -218,14 +241,25 @@ class Plant:
         return tuple(turns for _, turns in found)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return between what readings lie by the states' ranges, of sensors that these tell."""
+        """Return between what readings lie by the ranges, of sensors that these tell."""
         ranges = {}
-        for name, row, *direct in zip(self.sensors, self.C, self.Cu, self.Cd):
+        rows = np.hstack([self.C, self.Cu, self.Cd])
+        known = np.vstack([self.ranges, self.input_range, self.disturbance_range])
+        for name, row in zip(self.sensors, rows):
             of = np.flatnonzero(row)
-            ends = np.sort(row[of, None] * self.ranges[of], axis=1).sum(axis=0)
-            if len(of) and np.isfinite(ends).all() and not any(more.any() for more in direct):
-                ranges[name] = (float(ends[0]), float(ends[1]))
+            ends = np.sort(row[of, None] * known[of], axis=1).sum(axis=0)
+            if len(of) and np.isfinite(ends).all():
+                low, high = float(ends[0]), float(ends[1])
+                curve = self.curves.get(name)
+                if curve is not None and not curve.beside:
+                    low, high = sorted((curve.shown(low), curve.shown(high)))
+                ranges[name] = low, high
         return ranges
+
+    def delays(self) -> dict[str, float]:
+        """Return the dead times [s] of inputs and sensors, by name, of those that have one."""
+        every = zip((*self.inputs, *self.sensors), (*self.input_delay, *self.sensor_delay))
+        return {name: float(delay) for name, delay in every if delay}
 
     def hash(self) -> str:
         """Return the SHA-256 of what a design depends on: names, arrays, terms, noise, start."""
@@ -244,6 +278,13 @@ class Plant:
             'continuous' if self.sample_time is None else float(self.sample_time).hex())
         if not np.isnan(self.wrap).all():
             add('wrap', self.wrap)
+        if np.isfinite(self.input_range).any() or np.isfinite(self.disturbance_range).any():
+            add('ranges', self.input_range, self.disturbance_range)
+        for name, curve in sorted(self.curves.items()):
+            add('curve', name, curve.offset, curve.text, curve.low, curve.high,
+                sorted(curve.beside.items()))
+        if self.delays() or not np.isnan(self.sensor_rate).all():
+            add('delays', sorted(self.delays().items()), self.sensor_rate)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -258,7 +299,8 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
 
 
-def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0) -> Node:
+def affine_node(row: Sequence[float] | np.ndarray, names: Sequence[str],
+                offset: float = 0.0) -> Node:
     """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
     total: Node | None = None
     for factor, name in zip(row, names):
@@ -276,12 +318,30 @@ def affine_node(row: Sequence[float], names: Sequence[str], offset: float = 0.0)
     return total
 
 
+def measures_node(plant: Plant, i: int) -> Node:
+    """Return what the i-th sensor shows, in the plant's names."""
+    names = (*plant.states, *plant.inputs, *plant.disturbances)
+    row = np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]])
+    curve = plant.curves.get(plant.sensors[i], Curve())
+    if not curve.text:
+        return affine_node(row, names, curve.offset)
+    beside = np.array([curve.beside.get(name, 0.0) for name in names])
+    bent = substitute(parse(curve.text), {'w1': affine_node(row - beside, names)})
+    return Apply('+', (bent, affine_node(beside, names))) if beside.any() else bent
+
+
 def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
-    """Return a nonlinear term in the plant's names: 'sqrt(level1 - level2)'."""
+    """Return a nonlinear term in the plant's names, 'sqrt(level1 - level2)', numbers rounded."""
     if not len(g) and text == '1':
         return 'constant'
     arguments = {w: affine_node(row, states) for w, row in zip(argument_names(len(g)), g)}
-    return to_text(substitute(parse(text), arguments))
+    return to_text(_rounded(substitute(parse(text), arguments)))
+
+
+def _rounded(node: Node) -> Node:
+    if isinstance(node, Apply):
+        return Apply(node.function, tuple(map(_rounded, node.arguments)))
+    return Number(float(f'{node.value:.{DIGITS}g}')) if isinstance(node, Number) else node
 
 
 def _beside(values: Any, x: np.ndarray) -> np.ndarray:
@@ -366,14 +426,14 @@ def _direct(value: Any, height: int, width: int, where: object, key: str) -> np.
     return array
 
 
-def _ranges(value: Any, n: int, where: object) -> np.ndarray:
-    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where,
-                   'ranges', infinite=True)
+def _ranges(value: Any, n: int, where: object, key: str, each: str) -> np.ndarray:
+    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where, key,
+                   infinite=True)
     if array.shape != (n, 2):
-        raise BadInput(where, 'ranges', f'has shape {array.shape}',
-                       f'give {n} rows of low and high, one a state')
+        raise BadInput(where, key, f'has shape {array.shape}',
+                       f'give {n} rows of low and high, one {each}')
     if not (array[:, 0] < array[:, 1]).all():
-        raise BadInput(where, 'ranges', f'{shown(value)} has a low that is not below its high',
+        raise BadInput(where, key, f'{shown(value)} has a low that is not below its high',
                        'give low < high, -inf and inf where unknown')
     return array
 
@@ -400,6 +460,36 @@ def _tolerances(given: Mapping[str, float], sensors: tuple[str, ...],
         raise BadInput(where, 'tolerances', f'{shown(dict(given))} holds one that is not positive',
                        'give how far off an estimate may be')
     return dict(zip(given, sizes.tolist()))
+
+
+def _curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
+            where: object) -> dict[str, Curve]:
+    for name, curve in given.items():
+        if name not in sensors:
+            raise BadInput(where, 'curves', f'unknown sensor {shown(name)}',
+                           suggestion(name, sensors))
+        curve.check(where, f'curves.{name}')
+    return dict(given)
+
+
+def _delays(value: Any, count: int, sample_time: Any, where: object, key: str) -> np.ndarray:
+    array = _vector(value, np.zeros(count), where, key)
+    if (array < 0.0).any():
+        raise BadInput(where, key, f'{shown(value)} is negative somewhere', 'give times in s')
+    if array.any() and sample_time is not None:
+        steps = array / _sample_time(sample_time, where)
+        if (abs(steps - np.rint(steps)) > 1e-6).any():
+            raise BadInput(where, key, f'{shown(value)} is no whole number of samples',
+                           f'give multiples of {sample_time:g} s')
+    return array
+
+
+def _rates(value: Any, count: int, where: object) -> np.ndarray:
+    array = _vector(value, np.full(count, np.nan), where, 'sensor_rate', unknown=True)
+    if (array <= 0.0).any():
+        raise BadInput(where, 'sensor_rate', f'{shown(value)} is not above 0 somewhere',
+                       'give readings a second, NaN where unknown')
+    return array
 
 
 def _sample_time(value: Any, where: object) -> float | None:

@@ -9,12 +9,14 @@ its arguments w = G x; inputs, offsets and numbers stay in its text.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.functions.affine import affine, OFFSET, plus
 from vsensor_ros.functions.expression import (
     Apply,
     Closure,
@@ -24,6 +26,7 @@ from vsensor_ros.functions.expression import (
     names,
     Node,
     Number,
+    substitute,
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import (
@@ -35,7 +38,6 @@ from vsensor_ros.functions.nonlinearity import (
 )
 from vsensor_ros.plant.plant import affine_node, plain_name
 
-_OFFSET = ''    # the key of the constant in an affine form; no name is empty
 _ONE = Number(1.0)
 
 
@@ -50,78 +52,65 @@ class Split:
     G: tuple[np.ndarray, ...]           # q arrays (r_i, n)
     terms: tuple[NonlinearTerm, ...]    # q
 
-
-def affine(node: Node) -> dict[str, float] | None:
-    """Return the coefficients by name, the offset under '', or None when not affine."""
-    if isinstance(node, Number):
-        return {_OFFSET: node.value} if node.value else {}
-    if isinstance(node, Name):
-        return {node.id: 1.0}
-    parts = [affine(argument) for argument in node.arguments]
-    forms = [form for form in parts if form is not None]
-    if len(forms) < len(parts):
-        return None
-    if node.function == 'neg':
-        return _sum({}, forms[0], -1.0)
-    if node.function in ('+', '-'):
-        return _sum(forms[0], forms[1], 1.0 if node.function == '+' else -1.0)
-    if node.function == '*':
-        for one, other in (forms, forms[::-1]):
-            if set(one) <= {_OFFSET}:
-                return _sum({}, other, one.get(_OFFSET, 0.0))
-    if node.function == '/' and set(forms[1]) == {_OFFSET}:
-        return {key: value / forms[1][_OFFSET] for key, value in forms[0].items()}
-    return None
-
-
-def _sum(a: Mapping[str, float], b: Mapping[str, float], factor: float) -> dict[str, float]:
-    total = dict(a)
-    for key, value in b.items():
-        total[key] = total.get(key, 0.0) + factor * value
-    return {key: value for key, value in total.items() if value}
+    def slower(self, factor: float) -> Split:
+        """Return it with every rate so many times smaller: per second instead of per minute."""
+        return replace(self, A=self.A / factor, B=self.B / factor, D=self.D / factor,
+                       P=self.P / factor)
 
 
 def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Sequence[str],
-                    disturbances: Sequence[str], where: object, key: str = 'dynamics') -> Split:
+                    disturbances: Sequence[str], where: object, key: str = 'dynamics',
+                    definitions: Mapping[str, Node] = MappingProxyType({})) -> Split:
     """
     Split one right-hand side a state; the only names left are states, inputs, disturbances.
 
-    No formal addend is taken out. Raises BadInput when a disturbance is inside a nonlinear
+    And those of definitions, which are no sums: a term in which one is prints it by its name. No
+    formal addend is taken out. Raises BadInput when a disturbance is inside a nonlinear
     addend.
     """
     n = len(states)
     A, B, D = np.zeros((n, n)), np.zeros((n, len(inputs))), np.zeros((n, len(disturbances)))
-    # a core, known by its text and rows -> its arguments G and its column of P
-    cores: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray]] = {}
+    # a core, known by its text and rows -> its arguments G, its column of P, its name
+    cores: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray, str]] = {}
     for i, equation in enumerate(equations):
         place = f'{key}.{states[i]}'
-        linear: dict[str, float] = {}
-        nonlinear: list[tuple[float, Node]] = []
-        linear = _collect(_reduced(equation, where, place), 1.0, linear, nonlinear)
+        linear, nonlinear = addends(equation, where, place, definitions)
         A[i] = [linear.get(name, 0.0) for name in states]
         B[i] = [linear.get(name, 0.0) for name in inputs]
         D[i] = [linear.get(name, 0.0) for name in disturbances]
-        if _OFFSET in linear:
-            nonlinear.append((linear[_OFFSET], _ONE))
+        if OFFSET in linear:
+            nonlinear.append((linear[OFFSET], _ONE))
         for factor, core in nonlinear:
-            for name in names(core):
+            for name in names(substitute(core, definitions)):
                 if name in disturbances:
                     raise BadInput(where, place, f'the unknown input {name} is inside the '
                                    f'nonlinear addend {shown(to_text(core))}',
                                    'let it enter as an addend of its own')
             rows: list[np.ndarray] = []
-            text = to_text(_lifted(core, states, inputs, rows))
+            text = to_text(lifted(core, states, inputs, rows, definitions))
             G = np.array(rows).reshape(len(rows), n)
-            _, column = cores.setdefault((text, G.tobytes()), (G, np.zeros(n)))
+            name = '' if definitions.keys().isdisjoint(names(core)) else to_text(core)
+            _, column, _ = cores.setdefault((text, G.tobytes()), (G, np.zeros(n), name))
             column[i] += factor
     # a core whose addends cancel is no term
-    kept = [(text, G, column) for (text, _), (G, column) in cores.items() if column.any()]
+    kept = [(text, G, column, name) for (text, _), (G, column, name) in cores.items()
+            if column.any()]
     terms = []
-    for text, G, _ in kept:
-        name = plain_name(text, G, states)
+    for text, G, _, name in kept:
+        name = name or plain_name(text, G, states)
         terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
-    return Split(A, B, D, np.array([c for _, _, c in kept]).reshape(len(kept), n).T,
-                 tuple(G for _, G, _ in kept), tuple(terms))
+    return Split(A, B, D, np.array([c for _, _, c, _ in kept]).reshape(len(kept), n).T,
+                 tuple(G for _, G, _, _ in kept), tuple(terms))
+
+
+def addends(node: Node, where: object, key: str, nonlinear_names: Container[str] = (),
+            ) -> tuple[dict[str, float], list[tuple[float, Node]]]:
+    """Return the affine part as by `affine`, and the other addends as (coefficient, core)."""
+    nonlinear: list[tuple[float, Node]] = []
+    linear = _collect(_reduced(node, where, key), 1.0, {}, nonlinear)
+    for name in [name for name in linear if name in nonlinear_names]:
+        nonlinear.append((linear.pop(name), Name(name)))
+    return linear, nonlinear
 
 
 def _reduced(node: Node, where: object, key: str) -> Node:
@@ -131,8 +120,8 @@ def _reduced(node: Node, where: object, key: str) -> Node:
     parts = tuple(_reduced(argument, where, key) for argument in node.arguments)
     node = fold(Apply(node.function, parts), where, key)
     form = affine(node)
-    if form is not None and set(form) <= {_OFFSET}:
-        return Number(form.get(_OFFSET, 0.0))
+    if form is not None and set(form) <= {OFFSET}:
+        return Number(form.get(OFFSET, 0.0))
     return node if _scaled(node)[0] else Number(0.0)
 
 
@@ -141,7 +130,7 @@ def _collect(node: Node, factor: float, linear: dict[str, float],
     # the affine part of factor * node added to linear; the other addends put in nonlinear
     form = affine(node)
     if form is not None:
-        return _sum(linear, form, factor)
+        return plus(linear, form, factor)
     scale, core = _scaled(node)
     if isinstance(core, Apply) and core.function in ('+', '-'):
         left, right = core.arguments
@@ -171,13 +160,16 @@ def _scaled(node: Node) -> tuple[float, Node]:
     return 1.0, node
 
 
-def _lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
-            rows: list[np.ndarray]) -> Node:
-    # the core over w1.. and the inputs; the rows of G are appended to rows
+def lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
+           rows: list[np.ndarray],
+           definitions: Mapping[str, Node] = MappingProxyType({})) -> Node:
+    """Return the core over w1.. and the inputs; the rows of G (.., n) are appended to rows."""
+    if isinstance(node, Name) and node.id in definitions:
+        return lifted(definitions[node.id], states, inputs, rows)
     form = affine(node)
-    if form is None:
+    if form is None or not definitions.keys().isdisjoint(form):
         assert isinstance(node, Apply)
-        return Apply(node.function, tuple(_lifted(a, states, inputs, rows)
+        return Apply(node.function, tuple(lifted(a, states, inputs, rows, definitions)
                                           for a in node.arguments))
     row = np.array([form.get(name, 0.0) for name in states])
     coefficients, variables = [form.get(name, 0.0) for name in inputs], list(inputs)
@@ -185,7 +177,7 @@ def _lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
         index, ratio = _place(row, rows)
         coefficients.insert(0, ratio)
         variables.insert(0, argument_names(index + 1)[index])
-    return affine_node(coefficients, variables, form.get(_OFFSET, 0.0))
+    return affine_node(coefficients, variables, form.get(OFFSET, 0.0))
 
 
 def _place(row: np.ndarray, rows: list[np.ndarray]) -> tuple[int, float]:

@@ -18,8 +18,9 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional import full_name
 from vsensor_ros.plant import Plant
-from vsensor_ros.plant.plant import affine_node
+from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import design_text, for_a_time, report_simulation
 from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.text_file import looked_in
@@ -163,8 +164,7 @@ def _plant(plant: Plant) -> str:
 
     measures = []
     for i, sensor in enumerate(plant.sensors):
-        row = [*plant.C[i], *plant.Cu[i], *plant.Cd[i]]
-        text = to_text(affine_node(row, (*plant.states, *plant.inputs, *plant.disturbances)))
+        text = to_text(measures_node(plant, i))
         sigma = plant.noise[i]
         measures.append((f'<code>{escape(sensor)}</code>{_unit(plant, sensor)}',
                          f'<code>{escape(text)}</code>',
@@ -268,7 +268,7 @@ def _entries(plant: Plant, design: Design,
                      'virtual sensors only.</p>')
     for i, ((fault_set, channel), entry) in enumerate(design.entries.items()):
         heading = (f'<h3>{escape(design_text.title(design, fault_set, channel))}: '
-                   f'{escape(design_text.state_of(entry))}</h3>')
+                   f'{escape(design_text.state_of(entry) + design_text.left_out(entry))}</h3>')
         if isinstance(entry, Refusal):
             body = f'<p>{escape(entry.reason)}.</p>'
             if entry.alternative:
@@ -304,7 +304,8 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
          if plant.disturbances or entry.grade != 'exact' else ''),
         ('noise gain', '' if temporary else f'{design_text.number(entry.noise_gain)}: no error of '
                        'the readings is amplified by more, at any frequency'),
-        ('nonlinear terms', escape(', '.join(entry.terms[i].name for i in entry.active))),
+        ('nonlinear terms', escape(', '.join(full_name(i, entry.terms[i].name)
+                                             for i in entry.active))),
         ('found as', escape(entry.method)),
     ]
     text = _facts(facts)

@@ -30,11 +30,12 @@ def simulate(plant: Plant, t: ArrayLike, inputs: Signal = None, disturbances: Si
     a command; a function of time is followed as it is; None is zero. `x0` defaults to
     `plant.initial`. Continuous plants are integrated to 1e-10 with each sliding or crossing of a
     `sign(w1)` term located as an event (Filippov's solution: a stopped axis stays stopped);
-    discrete ones are iterated, and `t` must then step by the sample time.
+    discrete ones are iterated, and `t` must then step by the sample time. An input with a dead
+    time acts so much later; before the first it is as the first.
     """
     t = np.asarray(t, float)
     x = np.array(plant.initial if x0 is None else x0, float)
-    u, u_jumps = _signal(inputs, t, plant.B.shape[1], 'inputs')
+    u, u_jumps = _signal(_later(inputs, t, plant.input_delay), t, plant.B.shape[1], 'inputs')
     rho, rho_jumps = _signal(disturbances, t, plant.D.shape[1], 'disturbances')
     if plant.sample_time is None:
         return _flow(plant, t, u, rho, x, np.union1d(u_jumps, rho_jumps))
@@ -49,16 +50,50 @@ def simulate(plant: Plant, t: ArrayLike, inputs: Signal = None, disturbances: Si
 def readings(plant: Plant, t: ArrayLike, x: ArrayLike, inputs: Signal = None,
              disturbances: Signal = None) -> Array:
     """
-    Return what the sensors say without noise, C x + Cu u + Cd rho, shape (T, l).
+    Return what the sensors say without noise, shape (T, l): C x + Cu u + Cd rho by their curves.
 
     t (T,), `inputs` and `disturbances` as given to `simulate`, x (T, n) as it returned. A sensor
-    that reads a command directly sees at t[k] the one that begins there.
+    that reads a command directly sees at t[k] the one that begins there. One with a dead time
+    says what was so long ago; before the first it is as the first.
     """
     t, x = np.asarray(t, float), np.asarray(x, float)
-    u, _ = _signal(inputs, t, plant.B.shape[1], 'inputs')
+    u, _ = _signal(_later(inputs, t, plant.input_delay), t, plant.B.shape[1], 'inputs')
     rho, _ = _signal(disturbances, t, plant.D.shape[1], 'disturbances')
-    return np.array([plant.C @ x[k] + plant.Cu @ u(k, t[k]) + plant.Cd @ rho(k, t[k])
-                     for k in range(len(t))])
+    y = np.array([plant.C @ x[k] + plant.Cu @ u(k, t[k]) + plant.Cd @ rho(k, t[k])
+                  for k in range(len(t))])
+    for i, name in enumerate(plant.sensors):
+        if name in plant.curves:
+            curve = plant.curves[name]
+            beside = np.array([curve.beside.get(command, 0.0) for command in plant.inputs])
+            y[:, i] = [curve.shown(float(y[k, i]), float(beside @ u(k, t[k])))
+                       for k in range(len(t))]
+        if plant.sensor_delay[i]:
+            y[:, i] = np.interp(t - plant.sensor_delay[i], t, y[:, i])
+    return y
+
+
+def _later(signal: Signal, t: Array, delay: Array) -> Signal:
+    """Return a signal of which each column comes later by its dead time [s]."""
+    if signal is None or not delay.any():
+        return signal
+
+    def delayed(time: float) -> Array:
+        if callable(signal):
+            return np.array([np.atleast_1d(np.asarray(signal(max(time - d, t[0])), float))[i]
+                             for i, d in enumerate(delay)])
+        given = np.asarray(signal, float)
+        # a jump that falls on an instant of the grid, but for rounding, is there
+        rows = np.searchsorted(t, time - delay + 1e-9 * (t[-1] - t[0]), side='right') - 1
+        return given[np.maximum(rows, 0), np.arange(given.shape[1])]
+    return delayed if callable(signal) or not _on_grid(t, delay) else \
+        np.array([delayed(time) for time in t])
+
+
+def _on_grid(t: Array, delay: Array) -> bool:
+    """Tell whether each dead time is a whole number of the grid's steps."""
+    step = t[1] - t[0] if len(t) > 1 else 1.0
+    return bool(np.allclose(np.diff(t), step, 1e-6)
+                and np.allclose(delay / step, np.rint(delay / step), 0.0, 1e-6))
 
 
 def _signal(signal: Signal, t: Array, width: int, what: str,

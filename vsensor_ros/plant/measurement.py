@@ -1,0 +1,104 @@
+"""
+What a sensor shows, taken apart: a linear reading, and an offset or a known curve of it.
+
+A curve is f(w) + a u: f rises or falls with one linear combination w of states, inputs and unknown
+inputs; besides it there are only commands, which are known. So it can be inverted where readings
+come in. The linear reading is k w + a u, k being the slope at the operating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.functions.curve import Curve
+from vsensor_ros.functions.expression import (
+    Apply,
+    gradient,
+    Name,
+    Node,
+    Number,
+    substitute,
+    to_text,
+)
+from vsensor_ros.plant.plant import affine_node
+from vsensor_ros.plant.split import addends, affine, lifted
+
+PARALLEL = 1e-9  # relative
+FLAT = 1e-6  # of its mean slope: it shows nothing there
+
+
+def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], ranges: np.ndarray,
+                point: np.ndarray, where: object, key: str) -> tuple[np.ndarray, Curve | None]:
+    """
+    Return the row (n + m + d,) of the linear reading, and what is shown of it; None: itself.
+
+    groups: names of states, inputs and unknown inputs; ranges (n + m + d, 2) and point
+    (n + m + d,), of all of them, where they live and where they work. Raises BadInput.
+    """
+    states, inputs, disturbances = groups
+    names = (*states, *inputs, *disturbances)
+    form = affine(node)
+    if form is not None:
+        row, offset = np.array([form.get(name, 0.0) for name in names]), form.get('', 0.0)
+        if not row.any():
+            raise BadInput(where, key, f'{shown(text)} holds no state, input, disturbance',
+                           'write a sum of states, inputs, disturbances with factors, such as '
+                           'level1 - level2')
+        return row, Curve(offset) if offset else None
+    linear, cores = addends(node, where, key)
+    rows: list[np.ndarray] = []
+    curve: Node = Number(linear.get('', 0.0))
+    for factor, core in cores:
+        curve = Apply('+', (curve, Apply('*', (Number(factor), lifted(core, names, (), rows)))))
+    beside = np.array([linear.get(name, 0.0) for name in names])
+    command = np.array([name in inputs for name in names])
+    if len(rows) != 1 or not rows[0][~command].any():
+        raise BadInput(where, key, f'{shown(text)} is no curve of one linear combination of '
+                       f'states, but of {len(rows)} quantities', 'bring it into one function of '
+                       'one sum; only commands may be added to that')
+    w = rows[0]
+    share = float(beside @ np.where(command, 0.0, w)) / float(w[~command] @ w[~command])
+    beside = beside - share * w
+    left = np.abs(beside[~command]) > PARALLEL * np.abs(share * w[~command]).max() + PARALLEL * (
+        np.abs(beside).max(initial=0.0))
+    if left.any():
+        name = np.array(names)[~command][left][0]
+        raise BadInput(where, key, f'{shown(text)} cannot be inverted: {name} is added to a '
+                       f'curve of {to_text(affine_node(w, names))}',
+                       'only commands, or the same sum, may be')
+    beside[~command] = 0.0
+    curve = Apply('+', (curve, Apply('*', (Number(share), Name('w1'))))) if share else curve
+    low, high = _span(w, ranges)
+    if not -np.inf < low < high < np.inf:
+        open_names = [n for n, factor, ends in zip(names, w, ranges)
+                      if factor and not np.isfinite(ends).all()]
+        raise BadInput(where, key, f'{shown(text)} is a curve, and {", ".join(open_names)} has no '
+                       'range in which to invert it', 'give it one: range: [low, high]')
+    slope = float(gradient(curve, {'w1': float(w @ point)}, ('w1',))[1][0])
+    first, last = (gradient(curve, {'w1': end}, ('w1',))[0] for end in (low, high))
+    mean = (last - first) / (high - low)
+    found = _scaled(curve, 1.0, low, high)
+    found.check(where, key)
+    if not np.isfinite(slope) or abs(slope) < FLAT * abs(mean):
+        raise BadInput(where, key, f'{shown(text)} has no slope at the operating point',
+                       'give an operating_point where it rises or falls')
+    scaled = _scaled(curve, slope, low, high, {
+        name: float(gain) for name, gain in zip(names, beside) if gain})
+    return slope * w + beside, scaled
+
+
+def _scaled(curve: Node, k: float, low: float, high: float,
+            beside: dict[str, float] | None = None) -> Curve:
+    """Return the curve over k w instead of w."""
+    ends = sorted((k * low, k * high))
+    w = Name('w1') if k == 1.0 else Apply('/', (Name('w1'), Number(k)))
+    return Curve(0.0, to_text(substitute(curve, {'w1': w})), ends[0], ends[1], beside or {})
+
+
+def _span(w: np.ndarray, ranges: np.ndarray) -> tuple[float, float]:
+    of = np.flatnonzero(w)
+    low, high = np.sort(w[of, None] * ranges[of], axis=1).sum(axis=0)
+    return float(low), float(high)
