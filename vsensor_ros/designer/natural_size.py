@@ -85,14 +85,15 @@ def natural_sizes(plant: Plant, healthy: list[int], failed: list[int],
     What a reading or a wanted row is made of is taken to be of one size, where nothing else tells.
     The noise that is given is RELATIVE of the size of what is read, in the median of the healthy
     sensors; where none of these has any, of the failed ones. Next come the states' ranges, half
-    of which is their size; next what the inputs move within a mean time constant, with their
-    operating values or with 1.
+    of which is their size; next what the inputs move within a mean time constant, with half their
+    ranges, their operating values, or 1.
     """
     made = couplings(plant)
     rows = np.vstack([plant.C[healthy], wanted])
     sizes, group = _joined(made.sizes, made.group, rows)
     found = np.ones(group.max() + 1)
-    driven = _driven(plant, made.mean_rate) / sizes
+    given = _own(plant.input_range, plant.operating_input, np.ones(len(plant.inputs)))
+    driven = np.linalg.norm(_moved(plant) / sizes[:, None] * given, axis=1)
     half = 0.5 * (plant.ranges[:, 1] - plant.ranges[:, 0])
     for g in range(len(found)):
         here = group == g
@@ -108,22 +109,30 @@ def natural_sizes(plant: Plant, healthy: list[int], failed: list[int],
     return np.asarray(sizes * found[group])
 
 
-def size_of_state(plant: Plant) -> np.ndarray:
+@lru_cache(maxsize=8)
+def reaches(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return how far from its operating point each state may be (n,), in its unit.
+    Return how far from the operating point states (n,) and inputs (m,) are taken to go.
 
-    Half its range; else its operating value; else what the noise of its own sensor is RELATIVE
-    of; else its natural size.
+    Each by its own: half its range; else its operating value; else what the noise of its own
+    sensor is RELATIVE of; else its natural size, of an input what moves a state by that.
     """
     every = list(range(len(plant.sensors)))
     size = natural_sizes(plant, every, [], np.zeros((0, len(plant.states))))
+    moved = _moved(plant) / size[:, None]
+    most = moved.max(axis=0, initial=0.0)
     for row, noise, *direct in zip(plant.C, plant.noise, plant.Cu, plant.Cd):
         alone = np.flatnonzero(row)
         if len(alone) == 1 and noise > 0.0 and not any(more.any() for more in direct):
             size[alone] = noise / RELATIVE / np.abs(row[alone])
-    size = np.where(plant.operating_point != 0.0, np.abs(plant.operating_point), size)
-    half = 0.5 * (plant.ranges[:, 1] - plant.ranges[:, 0])
-    return np.asarray(np.where(np.isfinite(half), half, size))
+    return (_own(plant.ranges, plant.operating_point, size),
+            _own(plant.input_range, plant.operating_input,
+                 1.0 / np.where(most > 0.0, most, 1.0)))
+
+
+def _own(ranges: np.ndarray, point: np.ndarray, natural: np.ndarray) -> np.ndarray:
+    half = 0.5 * (ranges[:, 1] - ranges[:, 0])
+    return np.where(np.isfinite(half), half, np.where(point != 0.0, np.abs(point), natural))
 
 
 def _said(plant: Plant, sensors: list[int], sizes: np.ndarray, here: np.ndarray) -> np.ndarray:
@@ -133,17 +142,13 @@ def _said(plant: Plant, sensors: list[int], sizes: np.ndarray, here: np.ndarray)
     return plant.noise[sensors][within] / RELATIVE / np.linalg.norm(rows[within], axis=1)
 
 
-def _driven(plant: Plant, rate: float) -> np.ndarray:
-    """Return how far the inputs move each state (n,) within a mean time constant."""
-    if not plant.B.any():
-        return np.zeros(len(plant.A))
-    given = np.abs(plant.operating_input)
-    size = np.where(given > 0.0, given, 1.0)
-    s = rate if plant.sample_time is None else np.exp(rate * plant.sample_time)
-    sizes = couplings(plant).sizes
-    A, B = plant.A / sizes[:, None] * sizes, plant.B / sizes[:, None] * size
+def _moved(plant: Plant) -> np.ndarray:
+    """Return how far an input of 1 moves each state (n, m) within a mean time constant."""
+    known, h = couplings(plant), plant.sample_time
+    s = known.mean_rate if h is None else np.exp(known.mean_rate * h)
+    A, B = plant.A / known.sizes[:, None] * known.sizes, plant.B / known.sizes[:, None]
     response = np.linalg.lstsq(s * np.eye(len(A)) - A, B, rcond=None)[0]
-    return np.asarray(np.linalg.norm(response, axis=1) * sizes)
+    return np.abs(response) * known.sizes[:, None]
 
 
 def _balanced(A: np.ndarray) -> np.ndarray:
