@@ -83,8 +83,8 @@ class Plant:
     sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
 
     @classmethod
-    def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
-                      sample_time: float | None = None, *, P: Any = None, G: Any = None,
+    def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
+                      sample_time: float | None = None, P: Any = None, G: Any = None,
                       nonlinearities: Sequence[str | NonlinearTerm] | None = None,
                       states: Sequence[str] | None = None, inputs: Sequence[str] | None = None,
                       sensors: Sequence[str] | None = None,
@@ -101,7 +101,7 @@ class Plant:
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
-        Make a plant of arrays.
+        Make a plant of arrays; all after C by keyword.
 
         A (n, n), B (n, m) or None, C (l, n), D (n, d) or None: unknown inputs; one column
         of B, D, P and one row of C may be given flat. P (n, q), G: q arrays (r_i, n) or
@@ -117,6 +117,9 @@ class Plant:
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
         what error lines call the source. Raises BadInput.
         """
+        if fourth:  # D is the feedthrough to all who come from control packages
+            raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
+                           'feedthrough is Cu=, unknown inputs are D=')
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
         for key, mapping in (('units', units), ('parameters', parameters),
