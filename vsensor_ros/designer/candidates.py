@@ -41,6 +41,7 @@ QUIETED_ORDER = 60  # in plants of so few states
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
 MOST_SPACES = 8  # invariant spaces tried
 LARGEST_CLOSED = 100  # in plants of so many states
+SHIFTS = 5  # bisections, for a filter that decays as asked and no faster
 TRIES = 8  # random members of a family, where arguments must be known
 
 
@@ -216,17 +217,30 @@ def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None],
         np.vstack([p.Q for p in parts]))], 'single observers side by side')
 
 
-def filters(ground: Ground) -> list[JudgedCandidate]:
-    """Return the Kalman filter, and the quietest that decays as wanted."""
-    found: list[JudgedCandidate] = []
-    for filter_ in (ground.filter, None):
-        if filter_ is None:
-            if found and found[0].decay >= ground.decay:
-                break
-            filter_ = kalman(ground.known, ground.noise, ground.decay)
-        if filter_ is not None:
-            found += judged(ground, [invariant_spaces.filter_candidate(
-                ground.known, filter_, ground.terms)], 'filter')
+def filters(ground: Ground, asked: bool = False) -> list[JudgedCandidate]:
+    """
+    Return the Kalman filter, and the quietest filters that decay as wanted.
+
+    ``asked``: the rate was asked for, so that it is to be met at the least noise.
+    """
+    def shifted(shift: float) -> list[JudgedCandidate]:
+        found = ground.filter if shift == 0 else kalman(ground.known, ground.noise, shift)
+        return [] if found is None else judged(ground, [invariant_spaces.filter_candidate(
+            ground.known, found, ground.terms)], 'filter')
+
+    found = shifted(0.0)
+    if found and found[0].decay >= ground.decay:
+        return found
+    found += shifted(ground.decay)
+    # a mode that is slower than the shift is mirrored at it: that is more than is wanted
+    low, high = 0.0, ground.decay
+    for _ in range(SHIFTS if asked else 0):
+        middle = 0.5 * (low + high)
+        tried = shifted(middle)
+        if tried and tried[0].decay >= ground.decay:
+            found, high = found + tried, middle
+        else:
+            low = middle
     return found
 
 
