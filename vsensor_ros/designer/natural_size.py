@@ -2,9 +2,10 @@
 Natural sizes of a plant's states: the units in which ranks are decided and noise is assumed.
 
 How large a state is beside another comes from how they act on each other, in the plant's
-continuous original if it is sampled; how large all of them are, from the noise of the sensors,
-else from the ranges, else from what the inputs do. So sizes follow the units, whatever these are,
-and depend neither on the sample time nor on the order of the states.
+continuous original if it is sampled: those that act both ways are balanced, one that is only acted
+on is as large as that makes it in steady state. How large all of them are comes from the noise of
+the sensors, else from the ranges, else from what the inputs do. So sizes follow the units, and
+depend neither on the sample time nor on the order of the states.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from vsensor_ros.plant import Plant
 
 RELATIVE = 0.01  # of its natural size: what a reading errs by where its noise is not given
-INTEGRATES = 1.3  # times as fast as its neighbours an integrator is taken to be
+INTEGRATES = 1.1  # times as fast as is between its neighbours and the mean: an integrator
 STEPS = 60  # of Newton's method
 NEAR = 0.25  # of one: a matrix that differs by no more has a logarithm by its series
 ROOTS = 40  # square roots, at most, until it does
@@ -181,8 +182,9 @@ def _outer(A: np.ndarray, part: np.ndarray, rate: float) -> np.ndarray:
     """
     Return factors (n,) for parts that act on each other in one direction only.
 
-    With them the coupling of two parts is, in the sense of least squares, the geometric mean of
-    what each does by itself. What acts along several ways counts by its strongest.
+    With them each part is, in the sense of least squares, as large as what acts on it makes it in
+    steady state: it is pushed as fast as it goes back by itself. What acts along several ways
+    counts by its strongest.
     """
     count = int(part.max()) + 1
     member = np.eye(count)[:, part]
@@ -196,7 +198,7 @@ def _outer(A: np.ndarray, part: np.ndarray, rate: float) -> np.ndarray:
     i, j = np.nonzero(between)
     if not len(i):
         return np.ones(len(A))
-    wanted = 0.5 * np.log(own[i] * own[j]) - np.log(between[i, j])  # x_j - x_i
+    wanted = np.log(own[i]) - np.log(between[i, j])  # x_j - x_i
     return np.exp(_potential(count, i, j, wanted, _straightness(between, own)[i, j] ** 2))[part]
 
 
@@ -209,9 +211,9 @@ def _straightness(between: np.ndarray, own: np.ndarray) -> np.ndarray:
     i, j = np.nonzero(between)
     if not len(i):
         return np.zeros_like(between)
-    wanted = 0.5 * np.log(own[i] * own[j]) - np.log(between[i, j])
+    wanted = np.log(own[i]) - np.log(between[i, j])
     x = _potential(len(own), i, j, wanted, np.ones(len(i)))  # numbers near one
-    now = between * np.exp(x - x[:, None]) / np.sqrt(own[:, None] * own)
+    now = between * np.exp(x - x[:, None]) / own[:, None]
     with np.errstate(over='ignore', invalid='ignore'):
         ways = np.linalg.inv(np.eye(len(own)) - now)  # 1 + now + now^2 + .., which ends
         share = now / np.where(now > 0, ways, 1.0)
@@ -235,7 +237,7 @@ def _own_rates(own: np.ndarray, still: np.ndarray, between: np.ndarray,
     if len(among):  # each the mean of its neighbours
         weight = linked[among] / linked[among].sum(axis=1, keepdims=True)
         near[among] = np.linalg.solve(np.eye(len(among)) - weight[:, among], weight @ near)
-        own[among] = INTEGRATES * np.exp((2 * near[among] + np.log(rate)) / 3)
+        own[among] = INTEGRATES * np.exp((3 * near[among] + np.log(rate)) / 4)
     return own
 
 
