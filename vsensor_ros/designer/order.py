@@ -103,6 +103,8 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
             null = np.linalg.svd(outside.T)[2][k - int(freedom[k] or 0):]
         leading = null[:, -1] if len(null) else np.zeros(0)
         if np.linalg.norm(leading) < RANK_TOLERANCE:
+            if not found:  # outside after all: the next is to be held against it, too
+                both = _extended(both, krylov[-1][:, None])
             yield k, None, here
             continue
         found = True
