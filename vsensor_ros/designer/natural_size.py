@@ -35,6 +35,7 @@ class Couplings:
     modes: np.ndarray  # (n,) complex, of A, of one strongly connected part after the other
     parts: tuple[np.ndarray, ...]  # the states of each such part
     mean_rate: float  # 1/s
+    slowest: float  # 1/s, of what is no integrator
     sizes: np.ndarray  # (n,) natural sizes but for one factor a group
     group: np.ndarray  # (n,) which of the groups that do not act on each other a state is in
 
@@ -53,7 +54,8 @@ def couplings(plant: Plant) -> Couplings:
     modes = np.concatenate([np.linalg.eigvals(
         A[np.ix_(states, states)] / inner[states, None] * inner[states]).astype(complex)
         for states in parts])
-    rate = mean_of(rates_of(modes, h))
+    rates = rates_of(modes, h)
+    rate = mean_of(rates)
     sizes = inner * _outer(moving / inner[:, None] * inner, part, rate)
     if h is not None:
         moving = _logarithm(A / sizes[:, None] * sizes, modes) / h
@@ -62,7 +64,7 @@ def couplings(plant: Plant) -> Couplings:
             again[states] = _balanced(moving[np.ix_(states, states)])
         sizes = sizes * again * _outer(moving / again[:, None] * again, part, rate)
     group = connected_components(A != 0, directed=True, connection='weak')[1]
-    return Couplings(modes, parts, rate, sizes, group)
+    return Couplings(modes, parts, rate, rates.min(initial=rate), sizes, group)
 
 
 def rates_of(modes: np.ndarray, sample_time: float | None) -> np.ndarray:
@@ -86,7 +88,7 @@ def natural_sizes(plant: Plant, healthy: list[int], failed: list[int],
     What a reading or a wanted row is made of is taken to be of one size, where nothing else tells.
     The noise that is given is RELATIVE of the size of what is read, in the median of the healthy
     sensors; where none of these has any, of the failed ones. Next come the states' ranges, half
-    of which is their size; next what the inputs move within a mean time constant, with half their
+    of which is their size; next what the inputs move within the largest time constant, with half their
     ranges, their operating values, or 1.
     """
     made = couplings(plant)
@@ -144,9 +146,9 @@ def _said(plant: Plant, sensors: list[int], sizes: np.ndarray, here: np.ndarray)
 
 
 def _moved(plant: Plant) -> np.ndarray:
-    """Return how far an input of 1 moves each state (n, m) within a mean time constant."""
+    """Return how far an input of 1 moves each state (n, m) within the largest time constant."""
     known, h = couplings(plant), plant.sample_time
-    s = known.mean_rate if h is None else np.exp(known.mean_rate * h)
+    s = known.slowest if h is None else np.exp(known.slowest * h)
     A, B = plant.A / known.sizes[:, None] * known.sizes, plant.B / known.sizes[:, None]
     response = np.linalg.lstsq(s * np.eye(len(A)) - A, B, rcond=None)[0]
     return np.abs(response) * known.sizes[:, None]
