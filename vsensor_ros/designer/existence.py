@@ -100,7 +100,7 @@ def forced_closure(problem: Problem, forced: frozenset[int] = frozenset(),
     it enlarges T*, which may force further terms. Source: method 3.2.
     """
     while True:
-        T = conditioned_invariant(problem.motion, problem.C0, problem.decoupled(forced), gap)
+        T = conditioned_invariant(problem.A, problem.C0, problem.decoupled(forced), gap)
         known = np.vstack([complement(T), problem.C0])
         grown = frozenset(i for i, g in enumerate(problem.G)
                           if i in forced or not in_row_space(known, g, gap))
@@ -116,7 +116,7 @@ def hidden_unstable_modes(known: Quotient, problem: Problem, gap: Gap | None = N
 
     Orthonormal columns (r, h) of the quotient and their modes (h,) complex. Source: method 3.3.
     """
-    hidden = unobservable(known.motion, known.E, gap)
+    hidden = unobservable(known.A, known.E, gap)
     if known.order == len(problem.A) and problem.stable:
         return hidden[:, :0], np.zeros(0, complex)
     values, stays = lasting(hidden.T @ known.A @ hidden, problem.plant.sample_time,
@@ -146,7 +146,7 @@ def disturbed(problem: Problem, forced: frozenset[int]) -> Reason:
     plant = problem.plant
 
     def hides(D: np.ndarray) -> bool:
-        known = complement(conditioned_invariant(problem.motion, problem.C0, D))
+        known = complement(conditioned_invariant(problem.A, problem.C0, D))
         return not in_row_space(np.vstack([known, problem.C0]), problem.V)
 
     if hides(problem.D) or not forced:  # not forced: exact arithmetic knows better

@@ -178,7 +178,7 @@ def _modes(known: Quotient, spectrum: np.ndarray,
     A, E = known.A, known.E
     for value in (complex(v) for v in spectrum if v.imag >= 0):
         shifted = A - (value if value.imag else value.real) * np.eye(len(A))
-        size = max(known.speed, abs(value - known.still), float(np.finfo(float).tiny))
+        size = max(known.motion, abs(value - known.still), float(np.finfo(float).tiny))
         try:
             X = np.linalg.solve(shifted.T, E.T).T
             near = (np.abs(known.spectrum - value).min() <= APART * size

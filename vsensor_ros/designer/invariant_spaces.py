@@ -56,7 +56,7 @@ def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
     size = max(known.speed, np.finfo(float).tiny)
     while True:
         while True:
-            A = known.motion / size
+            A = known.A / size
             rest = left_kernel(E @ U.T, size=1.0) if len(E) else None
             B = U if rest is None else image((U - (U @ E.T) @ E).T, size=1.0).T
             away = B @ A - (B @ A) @ U.T @ U  # what of B A leaves U
@@ -77,7 +77,7 @@ def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
         yield InvariantSpace(W, Nj[:, :k], Nj[:, k:] @ back, T @ back, Nc[:, :k], Nc[:, k:] @ back)
         if len(U) == known.order:
             return
-        grown = image(np.vstack([U, U @ known.motion / size]).T).T
+        grown = image(np.vstack([U, U @ known.A / size]).T).T
         if len(grown) == len(U):
             return
         U = grown

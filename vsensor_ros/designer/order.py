@@ -39,7 +39,7 @@ class Family:
 
     M: np.ndarray
     F: np.ndarray
-    speed: float  # size of what moves the plant, against which rounding is measured
+    speed: float  # size of the plant's A, against which rounding is measured
     still: float = 0.0  # the root of what rests: 1 where d is the shift
 
     @property
@@ -73,7 +73,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
     at order 0, 1, .. (None: no polynomial), where exact arithmetic knows. Source: method 3.4.
     """
     speed = max(known.speed, float(np.finfo(float).tiny))
-    A = known.motion / speed
+    A = known.A / speed
     gap = Gap()
     seen = fresh = image(known.E.T, size=1.0, gap=gap)  # columns of E', E' and (E A)', ..
     krylov = [start_row(known)[0]]
@@ -113,7 +113,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
         M = H[:k].T.copy()
         M[-1] -= H[k, k - 1] * base[:k]
         F = image(free[:, :k].T).T
-        yield k, Family(known.still * np.eye(k) + speed * M, F, speed, known.still), here
+        yield k, Family(speed * M, F, speed, known.still), here
 
 
 def _off(basis: np.ndarray, X: np.ndarray) -> np.ndarray:

@@ -73,15 +73,6 @@ class Problem:
         return 0.0 if self.plant.sample_time is None else 1.0
 
     @property
-    def motion(self) -> np.ndarray:
-        """
-        A less what rests (n, n): it has the same invariant subspaces.
-
-        A plant that is sampled fast hardly moves in a step; what moves decides ranks.
-        """
-        return self.A - self.still * np.eye(len(self.A))
-
-    @property
     def C_star(self) -> np.ndarray:
         """Outputs that the papers' designs may use: the healthy ones and v itself (l + 1, n)."""
         return np.vstack([self.C0, self.V])

@@ -47,14 +47,15 @@ class Quotient:
         return np.linalg.eigvals(self.A).astype(complex)
 
     @cached_property
-    def motion(self) -> np.ndarray:
-        """Return A less what rests (r, r): it has the same invariant subspaces."""
-        return self.A - self.still * np.eye(len(self.A))
+    def speed(self) -> float:
+        """Return the size of A."""
+        return float(np.linalg.norm(self.A, 2)) if len(self.A) else 0.0
 
     @cached_property
-    def speed(self) -> float:
-        """Return the size of what moves."""
-        return float(np.linalg.norm(self.motion, 2)) if len(self.A) else 0.0
+    def motion(self) -> float:
+        """Return the size of A less what rests: of what happens in a step."""
+        return float(np.linalg.norm(self.A - self.still * np.eye(len(self.A)), 2)) \
+            if len(self.A) else 0.0
 
     @property
     def order(self) -> int:

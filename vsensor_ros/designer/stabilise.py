@@ -80,7 +80,7 @@ def fixed_roots(family: Family) -> np.ndarray:
     """Return the roots that all members share."""
     if family.free:
         return np.zeros(0, complex)
-    hidden = unobservable(family.M - family.still * np.eye(len(family.M)), family.F)
+    hidden = unobservable(family.M, family.F)
     return np.linalg.eigvals(hidden.T @ family.M @ hidden).astype(complex)
 
 
