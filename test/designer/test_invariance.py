@@ -28,7 +28,8 @@ def matrices(draw):
     n = draw(st.integers(2, 4))
     A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.6)
     A = A - (max(np.linalg.eigvals(A).real.max(), 0.0) + rng.uniform(0.1, 1.0)) * np.eye(n)
-    return A, rng.normal(size=(n, 1)), np.eye(n)[rng.permutation(n)[:2]], 10**rng.uniform(-3, -1, 2)
+    B, C = rng.normal(size=(n, 1)), np.eye(n)[rng.permutation(n)[:2]]
+    return A, B, C, 10**rng.uniform(-3, -1, 2)
 
 
 def compare(one, other, order=True, noise=1.1, unit=None):
@@ -41,7 +42,8 @@ def compare(one, other, order=True, noise=1.1, unit=None):
         assert type(mine) is type(theirs)
         if isinstance(mine, VirtualSensor) and mine.grade == 'exact':
             size = 1.0 if unit is None else unit[i]
-            assert not order or (mine.order, mine.proof.lower) == (theirs.order, theirs.proof.lower)
+            assert not order or mine.order == theirs.order
+            assert not order or mine.proof.lower == theirs.proof.lower
             assert 1 / noise < theirs.noise.error / size / mine.noise.error < noise
             assert 1 / noise < theirs.noise.floor / size / mine.noise.floor < noise
             assert 1 / noise < theirs.decay / mine.decay < noise
@@ -111,7 +113,7 @@ def test_strangers_change_nothing(drawn):
 
 
 def test_what_reads_the_channel_is_no_stranger():
-    """The temperature, which heats with the speed, tells it; what only cools with that does not."""
+    """The temperature, which rises with the speed, tells it."""
     A = np.array([[-0.5, 0, 0], [2.0, -0.1, 0], [0, 1.0, -0.2]])
     plant = Plant.from_matrices(A, [1, 0, 0], np.eye(3), noise=[0.01, 0.01, 0.01],
                                 states=['speed', 'temperature', 'casing'])
@@ -128,8 +130,9 @@ def test_terms_and_regions_of_a_part_are_those_of_the_whole():
     A = [[-1.0, 0, 0, 0], [0, -1.5, 20, 0], [0, 0, 0, 1], [0, 0, 0, -2]]
     P, G = np.array([[1.0, 0], [0, 20.0], [0, 0], [0, 0]]), [np.eye(4)[0], np.eye(4)[2]]
     more = {'states': names, 'sensors': ['thermo', 'vario', 'ahrs', 'gyro']}
-    plant = Plant.from_matrices(A, None, np.eye(4), P=P, G=G, nonlinearities=['cos(w1)', 'sin(w1) - w1'],
-                                noise=[1.0, 0.2, 0.01, 0.01], **more)
+    plant = Plant.from_matrices(
+        A, None, np.eye(4), P=P, G=G, nonlinearities=['cos(w1)', 'sin(w1) - w1'],
+        noise=[1.0, 0.2, 0.01, 0.01], **more)
     v = design(plant, [('ahrs',)])['ahrs', 'ahrs']
     assert v.active == (1,) and v.Phi.shape[1] == 4 and v.healthy == ('thermo', 'vario', 'gyro')
     assert v.reads == ('vario', 'gyro') and len(v.Gz) == 2

@@ -88,8 +88,8 @@ def natural_sizes(plant: Plant, healthy: list[int], failed: list[int],
     What a reading or a wanted row is made of is taken to be of one size, where nothing else tells.
     The noise that is given is RELATIVE of the size of what is read, in the median of the healthy
     sensors; where none of these has any, of the failed ones. Next come the states' ranges, half
-    of which is their size; next what the inputs move within the largest time constant, with half their
-    ranges, their operating values, or 1.
+    of which is their size; next what the inputs move within the largest time constant, with half
+    their ranges, their operating values, or 1.
     """
     made = couplings(plant)
     rows = np.vstack([plant.C[healthy], wanted])
