@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vsensor_ros.designer.error_system import ErrorSystem, Slopes
-from vsensor_ros.designer.joint_slopes import JointSlopes, MOST_SIDES, SharedTerm, sides_of
+from vsensor_ros.designer.joint_slopes import JointSlopes, MOST_ENTRIES, SharedTerm, sides_of
 from vsensor_ros.designer.quadratic_form import ROUNDING
 from vsensor_ros.designer.slopes import slope_bounds_on
 from vsensor_ros.functions.expression import names, parse
@@ -105,7 +105,8 @@ def joint_system(plant: Plant, sensor: VirtualSensor, bounds: Bounds, states: np
     box = np.vstack([image(np.array(found), states), inputs[commands]])
     slopes = [(i, j) for i in feeding for j, (low, high) in enumerate(bounds[i])
               if sensor.Gz[i][j].any() and max(-low, high) < INFINITE_SLOPE]
-    if len(slopes) < 2 or not np.isfinite(box).all() or len(box) > MOST_SIDES + 2:
+    if len(slopes) < 2 or not np.isfinite(box).all() \
+            or 2**len(box) * sensor.N.size > MOST_ENTRIES:
         return None
     terms, place = [], iter(places)
     for i in feeding:
