@@ -45,6 +45,7 @@ from vsensor_ros.plant.plant import Plant
 # of boxes, in operating points
 REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 WORTHWHILE = 0.2  # of the linearisation's rate: a larger box is taken down to this rate
+LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
 ROOM = 1.1  # frozen slopes must leave so much more, or a form is not looked for
 MOST_TRIED = 4  # virtual sensors in one box
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
@@ -86,8 +87,8 @@ def everywhere(plant: Plant, sensor: VirtualSensor) -> Certificate | None:
         return _linear(plant, sensor, error)
     if _runaway(sensor, bounds):
         return None
-    form = search(error)
-    return form and _certificate('global', form, sensor, bounds, (), _said(
+    form = search(error, LEAST * _rate_here(plant, sensor))
+    return None if form is None else _certificate('global', form, sensor, bounds, (), _said(
         sensor, 'one quadratic form of the error falls for every slope that '
         f'{_listed(_term_names(sensor))} can have anywhere'))
 
@@ -101,8 +102,8 @@ def on_ranges(plant: Plant, sensor: VirtualSensor, share: float = 0.0) -> Certif
     if not _ranged(plant, sensor) or _runs_away(plant, sensor):
         return None
     box = plant.ranges, plant.input_range
-    form = _form_in(plant, sensor, box, share * _rate_here(plant, sensor))
-    return form and _in_region(plant, sensor, form, box)
+    form = _form_in(plant, sensor, box, max(share, LEAST) * _rate_here(plant, sensor))
+    return None if form is None else _in_region(plant, sensor, form, box)
 
 
 def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
@@ -244,7 +245,8 @@ def _runaway(sensor: VirtualSensor, bounds: Bounds) -> str:
             push = float(row @ sensor.P[:, i])
             if sensor.sample_time is None and jumps(sensor.terms[i]) and (
                     high > INFINITE_SLOPE and push > 0 or low < -INFINITE_SLOPE and push < 0):
-                return (f'{short_name(i, sensor.terms[i].name)} drives its own argument away from zero: '
+                name = short_name(i, sensor.terms[i].name)
+                return (f'{name} drives its own argument away from zero: '
                         'two branches can stay apart')
     return ''
 

@@ -22,6 +22,7 @@ from vsensor_ros.functions.nonlinearity import NonlinearTerm
 
 MOST_CELLS = 10000
 CLOSE = 0.1  # of the growth at the middle of cells: so near is a bound close enough
+MOST_SIDES = 6
 GRID = 3  # points along each side where a search looks, or only the corners and the middle
 MOST_ENTRIES = 2500  # of the matrices at all points together: an inequality takes no more
 
@@ -59,7 +60,7 @@ class JointSlopes:
     def points(self) -> np.ndarray:
         """Return points (m, d) where a search looks: a grid, or corners and the middle."""
         if GRID**len(self.box) * self.N0.size <= MOST_ENTRIES:
-            return np.array(list(product(*(np.linspace(*side, GRID) for side in self.box))))
+            return np.array(list(product(*np.linspace(self.box[:, 0], self.box[:, 1], GRID).T)))
         return np.array([self.box.mean(axis=1), *product(*self.box)])
 
     def within(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
