@@ -40,12 +40,13 @@ from vsensor_ros.designer.slopes import jumps
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.uncovered import uncovered
 from vsensor_ros.observers import Certificate, Limit, VirtualSensor
-from vsensor_ros.observers.kinds.functional import short_name
+from vsensor_ros.observers.kinds.functional import short_name, sum_place, together
 from vsensor_ros.plant.plant import Plant
 
 # of boxes, in operating points
 REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 WORTHWHILE = 0.2  # of the linearisation's rate: a larger box is taken down to this rate
+LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
 ROOM = 1.1  # frozen slopes must leave so much more, or a form is not looked for
 MOST_TRIED = 4  # virtual sensors in one box
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
@@ -87,8 +88,8 @@ def everywhere(plant: Plant, sensor: VirtualSensor) -> Certificate | None:
         return _linear(plant, sensor, error)
     if _runaway(sensor, bounds):
         return None
-    form = search(error)
-    return form and _certificate('global', form, sensor, bounds, (), _said(
+    form = search(error, LEAST * _rate_here(plant, sensor))
+    return None if form is None else _certificate('global', form, sensor, bounds, (), _said(
         sensor, 'one quadratic form of the error falls for every slope that '
         f'{_listed(_term_names(sensor))} can have anywhere'))
 
@@ -102,8 +103,8 @@ def on_ranges(plant: Plant, sensor: VirtualSensor, share: float = 0.0) -> Certif
     if not _ranged(plant, sensor) or _runs_away(plant, sensor):
         return None
     box = plant.ranges, plant.input_range
-    form = _form_in(plant, sensor, box, share * _rate_here(plant, sensor))
-    return form and _in_region(plant, sensor, form, box)
+    form = _form_in(plant, sensor, box, max(share, LEAST) * _rate_here(plant, sensor))
+    return None if form is None else _in_region(plant, sensor, form, box)
 
 
 def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
@@ -140,12 +141,12 @@ def nowhere(plant: Plant, sensor: VirtualSensor, reason: str = '') -> Certificat
                      'that no quadratic form proves it')
     ranged = _ranged(plant, sensor)
     reason = reason or _runs_away(plant, sensor)
-    bounds = slope_bounds(plant, sensor, *(
-        _unlimited(plant) if reason else (plant.ranges, plant.input_range) if ranged
-        else _box(plant, REACHES[-1])))
-    return _none(sensor, bounds, reason or _obstacle(
-        sensor, bounds, 'in the given ranges' if ranged else 'near the operating point'),
-        uncovered(plant, sensor, None))
+    box = (_unlimited(plant) if reason else (plant.ranges, plant.input_range) if ranged
+           else _box(plant, REACHES[-1]))
+    bounds = slope_bounds(plant, sensor, *box)
+    place = 'in the given ranges' if ranged else 'near the operating point'
+    return _none(sensor, bounds, reason or _obstacle(plant, sensor, bounds, box, place),
+                 uncovered(plant, sensor, None))
 
 
 def promising(plant: Plant, sensor: VirtualSensor, box: Box | None, rate: float = 0.0) -> bool:
@@ -172,13 +173,15 @@ def _form_in(plant: Plant, sensor: VirtualSensor, box: Box, wanted: float = 0.0)
 
 
 def _in_region(plant: Plant, sensor: VirtualSensor, form: Form, box: Box) -> Certificate:
-    bounds = slope_bounds(plant, sensor, *box)
-    found = _certificate('region', form, sensor, bounds, _region(plant, sensor, *box), '',
-                         uncovered(plant, sensor, box))
+    bounds, region = slope_bounds(plant, sensor, *box), _region(plant, sensor, *box)
+    where = together((plant.inputs[j], low, high) if i is None else sum_place(
+        {name: float(factor) for name, factor in zip(plant.states, plant.G[i][j]) if factor},
+        low, high) for i, j, low, high in region)
     keeps = [f'{name} in [{low:.4g}, {high:.4g}] {plant.units.get(name, "")}'.rstrip()
-             for name, low, high in replace(sensor, certificate=found).region]
-    return replace(found, reason=_said(
-        sensor, f'it holds only while plant and estimate both keep {_listed(keeps)}'))
+             for name, low, high in where]
+    return replace(_certificate('region', form, sensor, bounds, region, _said(
+        sensor, f'it holds only while plant and estimate both keep {_listed(keeps)}')),
+        uncovered=uncovered(plant, sensor, box), where=where)
 
 
 def _ranged(plant: Plant, sensor: VirtualSensor) -> bool:
@@ -241,17 +244,18 @@ def _runaway(sensor: VirtualSensor, bounds: Bounds) -> str:
             push = float(row @ sensor.P[:, i])
             if sensor.sample_time is None and jumps(sensor.terms[i]) and (
                     high > INFINITE_SLOPE and push > 0 or low < -INFINITE_SLOPE and push < 0):
-                return (f'{sensor.terms[i].name} drives its own argument away from zero: '
+                name = short_name(i, sensor.terms[i].name)
+                return (f'{name} drives its own argument away from zero: '
                         'two branches can stay apart')
     return ''
 
 
-def _obstacle(sensor: VirtualSensor, bounds: Bounds,
+def _obstacle(plant: Plant, sensor: VirtualSensor, bounds: Bounds, box: Box,
               place: str) -> str:
     """Say in one clause why no form was found."""
     for i, slopes in bounds.items():
         for row, (low, high) in zip(sensor.Gz[i], slopes):
-            name = sensor.terms[i].name
+            name = short_name(i, sensor.terms[i].name)
             steep = high > INFINITE_SLOPE, low < -INFINITE_SLOPE
             if row.any() and all(steep):
                 return f'the slope of {name} has no bound {place}'
@@ -263,9 +267,9 @@ def _obstacle(sensor: VirtualSensor, bounds: Bounds,
                 if push >= 0:
                     return (f'{name} is infinitely steep {place} and does not pull its argument '
                             'back')
-    terms, error = _listed(_term_names(sensor)), error_system(sensor, bounds)
-    if len(error.bounded.feeding.radius) <= MOST_CORNERS \
-            and min(decay_rate(A, sensor.sample_time) for A in error.corners()) <= 0:
+    terms = _listed(_term_names(sensor))
+    error = joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds)
+    if error.cornered and min(decay_rate(A, sensor.sample_time) for A in error.corners()) <= 0:
         return f'with slopes that {terms} can have {place} the error does not die out'
     if len(sensor.N) > LARGEST_ORDER:
         return f'more than {LARGEST_ORDER} states: only a coarser test was made, and it failed'
@@ -284,13 +288,13 @@ def _region(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
 
 
 def _certificate(status: str, form: Form, sensor: VirtualSensor, bounds: Bounds,
-                 region: tuple[Limit, ...], reason: str, left: str = '') -> Certificate:
+                 region: tuple[Limit, ...], reason: str) -> Certificate:
     # V in units of the channel: |Cv e|^2 <= e' S e
     size = max(float(np.linalg.norm(solve_triangular(form.L, row, lower=True)))
                for row in sensor.Cv)
     L = form.L * (size or 1.0)
     return Certificate(status, float(form.rate), float(form.bound * (1 + 1e-9)), L @ L.T, region,
-                       lipschitz(sensor, bounds), reason, left)
+                       lipschitz(sensor, bounds), reason)
 
 
 def _none(sensor: VirtualSensor, bounds: Bounds, reason: str, left: str = '') -> Certificate:

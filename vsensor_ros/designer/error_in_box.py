@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from vsensor_ros.designer.error_system import ErrorSystem, Slopes
-from vsensor_ros.designer.joint_slopes import JointSlopes, MOST_SIDES, SharedTerm, sides_of
+from vsensor_ros.designer.joint_slopes import (
+    JointSlopes,
+    MOST_ENTRIES,
+    MOST_SIDES,
+    SharedTerm,
+    sides_of,
+)
 from vsensor_ros.designer.quadratic_form import ROUNDING
 from vsensor_ros.designer.slopes import slope_bounds_on
 from vsensor_ros.functions.expression import names, parse
@@ -85,7 +91,8 @@ def error_system(sensor: VirtualSensor, bounds: Bounds) -> ErrorSystem:
                          np.array([h for _, _, h, _ in some]).reshape(len(some), l0),
                          np.array([r for *_, r in some]))
             for name, some in groups.items()}
-    return ErrorSystem(N, J, sensor.Cv, sensor.Q, **made, sample_time=sensor.sample_time)
+    return ErrorSystem(N, J, sensor.Cv, sensor.Q, made['bounded'], made['rising'], made['loose'],
+                       sensor.sample_time)
 
 
 def joint_system(plant: Plant, sensor: VirtualSensor, bounds: Bounds, states: np.ndarray,
@@ -105,7 +112,8 @@ def joint_system(plant: Plant, sensor: VirtualSensor, bounds: Bounds, states: np
     box = np.vstack([image(np.array(found), states), inputs[commands]])
     slopes = [(i, j) for i in feeding for j, (low, high) in enumerate(bounds[i])
               if sensor.Gz[i][j].any() and max(-low, high) < INFINITE_SLOPE]
-    if len(slopes) < 2 or not np.isfinite(box).all() or len(box) > MOST_SIDES + 2:
+    if len(slopes) < 2 or not np.isfinite(box).all() \
+            or len(box) > MOST_SIDES or 2**len(box) * sensor.N.size > MOST_ENTRIES:
         return None
     terms, place = [], iter(places)
     for i in feeding:

@@ -22,8 +22,9 @@ from vsensor_ros.functions.nonlinearity import NonlinearTerm
 
 MOST_CELLS = 10000
 CLOSE = 0.1  # of the growth at the middle of cells: so near is a bound close enough
-GRID = 3  # points along each side where a search looks, up to
-MOST_SIDES = 4  # sides; beyond, only the corners and the middle
+MOST_SIDES = 6
+GRID = 3  # points along each side where a search looks, or only the corners and the middle
+MOST_ENTRIES = 2500  # of the matrices at all points together: an inequality takes no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,8 @@ class JointSlopes:
 
     def points(self) -> np.ndarray:
         """Return points (m, d) where a search looks: a grid, or corners and the middle."""
-        if len(self.box) <= MOST_SIDES:
-            return np.array(list(product(*(np.linspace(*side, GRID) for side in self.box))))
+        if GRID**len(self.box) * self.N0.size <= MOST_ENTRIES:
+            return np.array(list(product(*np.linspace(self.box[:, 0], self.box[:, 1], GRID).T)))
         return np.array([self.box.mean(axis=1), *product(*self.box)])
 
     def within(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

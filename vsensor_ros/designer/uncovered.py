@@ -20,7 +20,7 @@ Side = tuple[str, bool, int, tuple[float, float]]  # name, whether an input, ind
 def uncovered(plant: Plant, sensor: VirtualSensor,
               box: tuple[np.ndarray, np.ndarray] | None) -> str:
     """
-    Say which part of the declared ranges a box (n, 2), (m, 2) leaves out, and where it is unstable.
+    Say what of the declared ranges a box (n, 2), (m, 2) leaves out, and where it is unstable.
 
     None is the empty box. '' where nothing is left out or nothing declared.
     """

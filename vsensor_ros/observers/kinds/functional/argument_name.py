@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from math import inf
 
 from vsensor_ros.bad_input import BadInput
@@ -32,14 +33,18 @@ def argument_place(term: NonlinearTerm, argument: int, low: float, high: float) 
     """
     found = _found(argument_names(len(term.slope))[argument], term)
     form = None if found is None else affine(found)
-    if not form or set(form) == {OFFSET}:
+    if not form or OFFSET in form:
         return argument_name(term, argument), low, high
-    offset = form.pop(OFFSET, 0.0)
+    return sum_place(form, low, high)
+
+
+def sum_place(form: Mapping[str, float], low: float, high: float) -> Place:
+    """Say where states lie of which a sum, {name: factor, ..}, lies between low and high."""
     first = next(iter(form.values()))
     alike = all(abs(factor) == abs(first) for factor in form.values())
     factor = first if alike else abs(first) / first
-    ends = sorted(((low - offset) / factor, (high - offset) / factor))
-    return _sum({name: value / factor for name, value in form.items()}), *ends
+    least, most = sorted((low / factor, high / factor))
+    return _sum({name: value / factor for name, value in form.items()}), least, most
 
 
 def _sum(form: dict[str, float]) -> str:
@@ -51,7 +56,7 @@ def _sum(form: dict[str, float]) -> str:
     return text
 
 
-def together(places: list[Place]) -> tuple[Place, ...]:
+def together(places: Iterable[Place]) -> tuple[Place, ...]:
     """Name each once, within all of its limits; what has no limit is left out."""
     found: dict[str, tuple[float, float]] = {}
     for name, low, high in places:

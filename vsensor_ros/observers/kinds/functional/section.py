@@ -70,6 +70,8 @@ def _certificate_record(c: Certificate) -> dict[str, Any]:
         'lipschitz': None if c.lipschitz is None else [or_null(side) for side in c.lipschitz],
         'reason': c.reason,
         **({'uncovered': c.uncovered} if c.uncovered else {}),
+        **({'where': [{'name': name, 'low': or_null(low, -INF), 'high': or_null(high)}
+                      for name, low, high in c.where]} if c.where else {}),
     }
 
 
@@ -126,7 +128,7 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
 
 def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> Certificate:
     reader.only(('status', 'rate', 'bound', 'S', 'region', 'lipschitz', 'reason',
-                 'uncovered'))
+                 'uncovered', 'where'))
     status = reader.word('status', ('global', 'region', 'none'))
     rate = reader.size('rate', infinite=True)
     if status == 'none' and rate:
@@ -145,7 +147,14 @@ def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> 
     if version > 3 and status != 'none' and not _is_definite(S):
         raise reader.fail('S', 'is not symmetric and positive definite')
     left = reader.text('uncovered') if 'uncovered' in reader.record else ''
-    return Certificate(status, rate, bound, S, region, lipschitz, why, left)
+    return Certificate(status, rate, bound, S, region, lipschitz, why, left, _read_where(reader))
+
+
+def _read_where(reader: CheckedObject) -> tuple[tuple[str, float, float], ...]:
+    places = reader.objects('where') if 'where' in reader.record else []
+    for place in places:
+        place.only(('name', 'low', 'high'))
+    return tuple((place.text('name'), *_read_limits(place)) for place in places)
 
 
 def _read_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:

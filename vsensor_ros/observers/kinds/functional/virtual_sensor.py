@@ -138,10 +138,12 @@ class VirtualSensor:
     @property
     def region(self) -> tuple[tuple[str, float, float], ...]:
         """Where its certificate holds: states, sums of states and commands, with their limits."""
-        limits = () if self.certificate is None else self.certificate.region
-        return together([(self.inputs[argument], low, high) if term is None
-                         else argument_place(self.terms[term], argument, low, high)
-                         for term, argument, low, high in limits])
+        c = self.certificate
+        if c is None or c.where:
+            return () if c is None else c.where
+        return together((self.inputs[argument], low, high) if term is None
+                        else argument_place(self.terms[term], argument, low, high)
+                        for term, argument, low, high in c.region)
 
 
 def _freeze(data: Tracking | VirtualSensor) -> None:
