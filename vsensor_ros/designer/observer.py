@@ -22,6 +22,7 @@ from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant import Plant
 
 EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)
+FAINT = 1e-10  # of its row: a gain on a reading that came of rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +142,15 @@ def _tidied(problem: Problem, candidate: Candidate) -> Candidate:
     size = np.linalg.norm(candidate.Phi, axis=1)
     size = np.where(size > 0, size, 1.0)
     k = len(size)
-    J = candidate.J / size[:, None]  # a part of Phi A, and judged against it
+    N, J = candidate.N / size[:, None] * size, candidate.J / size[:, None]
+    # a part of Phi A, and judged against that, and against how fast its own row goes
+    own = np.hstack([N - problem.still * np.eye(k), J])
+    least = np.maximum(1e-13 * problem.speed, FAINT * np.abs(own).max(axis=1, initial=0.0))
     CQ = _clean(np.hstack([candidate.Cv * size, candidate.Q]))
-    return Candidate(
-        _clean(candidate.Phi / size[:, None]), candidate.N / size[:, None] * size,
-        np.where(np.abs(J) < 1e-13 * problem.speed, 0.0, J),
-        CQ[:, :k], CQ[:, k:])
+    Q = np.where(np.abs(CQ[:, k:]) < FAINT * np.abs(CQ).max(axis=1, keepdims=True, initial=0.0),
+                 0.0, CQ[:, k:])
+    return Candidate(_clean(candidate.Phi / size[:, None]), N,
+                     np.where(np.abs(J) < least[:, None], 0.0, J), CQ[:, :k], Q)
 
 
 def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
