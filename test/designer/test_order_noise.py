@@ -3,6 +3,7 @@
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, solve_continuous_are, solve_continuous_lyapunov
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bad_input import BadInput
@@ -70,7 +71,7 @@ def test_a_crossing_at_infinity_does_not_hide_a_stable_interval():
     K[3, 3] = 1
     plant = Plant.from_matrices(
         np.block([[np.zeros((4, 4)), np.eye(4)], [-K, np.zeros((4, 4))]]), None,
-        np.eye(8)[[6, 1, 4]], np.eye(8)[:, 1], Cd=[[1], [0], [0]])
+        np.eye(8)[[6, 1, 4]], D=np.eye(8)[:, 1], Cd=[[1], [0], [0]])
     sensor = design(plant, wanted={'w': [-1, -1, 0, -1, -1, 0, 0, -1]}, prefer='least')[(), 'w']
     assert sensor.order == sensor.proof.lower == 3
 
@@ -187,7 +188,7 @@ def test_complex_fixed_modes_are_met_exactly():
     """Two masses on a spring: the hidden pair must be copied, and nothing else."""
     plant = Plant.from_matrices(
         [[0, 1, 0, 0], [-900, -.5, 900, .4], [0, 0, 0, 1], [45, .02, -45, -.03]], None,
-        np.eye(4)[[0, 2, 1]], np.eye(4)[:, 1])
+        np.eye(4)[[0, 2, 1]], D=np.eye(4)[:, 1])
     sensor = design(plant, [('y2',)], prefer='least')['y2', 'y2']
     assert sensor.order == sensor.proof.lower == 2
 
@@ -212,7 +213,7 @@ def test_units_do_not_decide_stability():
     unit = np.array([1e5, 1e-3, 1e5])
     for s in (np.ones(3), unit):
         plant = Plant.from_matrices(A * s[:, None] / s, None, np.eye(3)[[2, 0]] / s,
-                                    np.eye(3)[:, 0] * s)
+                                    D=np.eye(3)[:, 0] * s)
         assert design(plant, [('y1',)], prefer='least')['y1', 'y1'].order == 2
     light = Plant.from_matrices([[0, 1, 0, 0], [-1e6, -1e-4, 1, 0], [0, 0, -1, 0], [0, 0, 0, -2]],
                                 None, np.eye(4)[[2, 0]])
@@ -239,7 +240,7 @@ def test_several_rows_are_no_larger_than_single_observers_side_by_side():
 
 def test_a_functional_that_rho_moves_is_refused_beside_others():
     plant = Plant.from_matrices([[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3),
-                                [1, 0, 0])
+                                D=[1, 0, 0])
     result = design(plant, [('y1',)], wanted={'two': [[1, 0, 0], [0, 0, 1]]})
     assert isinstance(result[('y1',), 'two'], Refusal)
 
@@ -314,7 +315,7 @@ def test_sensors_may_read_commands_and_unknown_inputs(seed):
     B, D, C = rng.normal(size=(n, m)), rng.normal(size=(n, d)), rng.normal(size=(sensors, n))
     Cu = rng.normal(size=(sensors, m))
     Cd = rng.normal(size=(sensors, d)) * (rng.random((sensors, d)) < 0.4)
-    plant = Plant.from_matrices(A, B, C, D, 1.0, Cu=Cu, Cd=Cd)
+    plant = Plant.from_matrices(A, B, C, D=D, sample_time=1.0, Cu=Cu, Cd=Cd)
     for entry in design(plant).virtual_sensors:
         rows = [plant.sensors.index(s) for s in entry.healthy]
         own = plant.sensors.index(entry.channel)
@@ -332,3 +333,42 @@ def test_sensors_may_read_commands_and_unknown_inputs(seed):
             size = max(size, np.abs(x).max(), np.abs(y).max())
         gain = 1 + np.abs(entry.Cv).max(initial=0) * (1 + np.abs(entry.J).max(initial=0))
         assert abs(error) < 1e-7 * size * gain
+
+
+def test_a_wanted_decay_is_met_at_little_more_than_the_least_noise():
+    """A helicopter (8 states) without its yaw gyro: beside a full-order filter of that decay."""
+    A = np.array([
+        [-.0046, .038, .3259, -.0045, -.402, -.073, -9.81, 0],
+        [-.1978, -.5667, .357, -.0378, -.2149, .5683, 0, 0],
+        [.0039, -.0029, -.2947, .007, .2266, .0148, 0, 0],
+        [.0133, -.0014, -.4076, -.0654, -.4093, .2674, 0, 9.81],
+        [.0127, -.01, -.8152, -.0397, -.821, .1442, 0, 0],
+        [-.0285, -.0232, .1064, .0709, -.2786, -.7396, 0, 0],
+        [0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 1, 0, 0, 0]])
+    C, wanted = np.eye(8)[[1, 6, 7, 5, 2, 4]], 1.67
+    plant = Plant.from_matrices(A, None, C, noise=[0.01] * 6, process_noise=[0.1] * 8)
+    sensor = design(plant, [('y4',)], decay=wanted)['y4', 'y4']
+    assert sensor.decay >= 0.999 * wanted
+
+    def filter_of(shift):
+        E, R, W = np.delete(C, 3, 0), 1e-6 * np.eye(5), 0.01 * np.eye(8)
+        X = solve_continuous_are((A + shift * np.eye(8)).T, E.T, W, R)
+        L = X @ E.T @ np.linalg.inv(R)
+        P = solve_continuous_lyapunov(A - L @ E, -(W + L @ R @ L.T))
+        return -np.linalg.eigvals(A - L @ E).real.max(), np.sqrt(C[3] @ P @ C[3])
+    filters = [filter_of(shift) for shift in np.linspace(0.5, 1.0, 11) * wanted]
+    assert sensor.noise.error <= 2 * min(error for decay, error in filters if decay >= wanted)
+
+
+@pytest.mark.parametrize('seed', [None, 2, 6])
+def test_modes_in_close_pairs_that_no_sensor_sees_are_copied(seed):
+    """Five modes in two close pairs behind y1, two others behind y2; also in mixed coordinates."""
+    A = block_diag([[0, 1], [-.202, -1.15]], [[0, 1, 0], [0, 0, 1], [-2.36, -13.6, -12.8]], -1, -2)
+    C = np.array([[.264, .806, -1.42, -15, 0, 0, 0], [0, 0, 0, 0, 0, 1, 1]])
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        T = np.linalg.qr(rng.normal(size=(7, 7)))[0]
+        A, C = T @ A @ T.T, C @ T.T
+    sensor = design(Plant.from_matrices(A, None, C), [('y1',)])['y1', 'y1']
+    assert (sensor.order, sensor.proof.lower, sensor.proof.upper) == (5, 5, 5)
+    assert seed is not None or not sensor.reads  # mixed states are moved by the same noise

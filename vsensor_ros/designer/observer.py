@@ -22,6 +22,7 @@ from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant import Plant
 
 EQUATION_TOLERANCE = 1e-9  # relative residual allowed in (E1) to (E4)
+FAINT = 1e-10  # of its row: a gain on a reading that came of rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +142,15 @@ def _tidied(problem: Problem, candidate: Candidate) -> Candidate:
     size = np.linalg.norm(candidate.Phi, axis=1)
     size = np.where(size > 0, size, 1.0)
     k = len(size)
-    J = candidate.J / size[:, None]  # a part of Phi A, and judged against it
+    N, J = candidate.N / size[:, None] * size, candidate.J / size[:, None]
+    # a part of Phi A, and judged against that, and against how fast its own row goes
+    own = np.hstack([N - problem.still * np.eye(k), J])
+    least = np.maximum(1e-13 * problem.speed, FAINT * np.abs(own).max(axis=1, initial=0.0))
     CQ = _clean(np.hstack([candidate.Cv * size, candidate.Q]))
-    return Candidate(
-        _clean(candidate.Phi / size[:, None]), candidate.N / size[:, None] * size,
-        np.where(np.abs(J) < 1e-13 * problem.speed, 0.0, J),
-        CQ[:, :k], CQ[:, k:])
+    Q = np.where(np.abs(CQ[:, k:]) < FAINT * np.abs(CQ).max(axis=1, keepdims=True, initial=0.0),
+                 0.0, CQ[:, k:])
+    return Candidate(_clean(candidate.Phi / size[:, None]), N,
+                     np.where(np.abs(J) < least[:, None], 0.0, J), CQ[:, :k], Q)
 
 
 def stable_with_terms(plant: Plant, sensor: VirtualSensor) -> bool:
@@ -175,19 +179,20 @@ def leaves_one_branch(sensor: VirtualSensor) -> bool:
         for i in sensor.active)
 
 
-def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndarray]:
+def linearised(plant: Plant, sensor: VirtualSensor, x: np.ndarray | None = None,
+               u: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return N (k, k) and J (k, l0) with the nonlinear terms' slopes at the operating point.
+    Return N (k, k) and J (k, l0) with the terms' slopes at a point, by default the operating one.
 
     In continuous time a sign is left out: its slope is 0 or infinite.
     """
     N, J = sensor.N, sensor.J
+    x, u = plant.operating_point if x is None else x, plant.operating_input if u is None else u
     for i in sensor.active:
         term = sensor.terms[i]
         if set_valued(term) and sensor.sample_time is None:
             continue
-        slope = slope_at(term, plant.G[i] @ plant.operating_point, plant.inputs,
-                         plant.operating_input) - term.slope
+        slope = slope_at(term, plant.G[i] @ x, plant.inputs, u) - term.slope
         N = N + np.outer(sensor.P[:, i], slope @ sensor.Gz[i])
         J = J + np.outer(sensor.P[:, i], slope @ sensor.Gy[i])
     return N, J

@@ -4,6 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.special import gammaln
 
 from vsensor_ros import design, Plant
 from vsensor_ros.bank import Bank
@@ -12,6 +13,7 @@ from vsensor_ros.observers.kinds.functional.convergence import (
     converge,
     reading_gains,
     reading_pushes,
+    settling_time,
 )
 
 MS = 1_000_000
@@ -206,3 +208,28 @@ def test_what_is_known_of_the_whole_start_is_one_error():
     e = x @ v.Phi.T - v.z0 - x @ plant.C[1:].T @ v.z0_gain.T
     truth = e.T @ e / len(e)
     np.testing.assert_allclose(v.start, truth, atol=0.02 * truth.max())
+
+
+@pytest.mark.parametrize('length', [4, 13])
+def test_a_chain_of_dead_times_settles_in_its_length(bench, length):
+    """Its eigenvalues are all 0, which would settle at once."""
+    shift = np.eye(length, k=1)
+    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(length, length)))[0]
+    for T in (np.eye(length), turned):
+        v = bench.virtual_sensor(T @ shift @ T.T, np.zeros((length, 1)), Cv=T[:, :1].T,
+                                 sample_time=0.5, start=np.eye(length), noise=noise(0.0))
+        assert settling_time(v) == pytest.approx(0.5 * length)
+        assert converge(v).warm_up == pytest.approx(0.5 * length)
+        assert converge(v).slowest == pytest.approx(0.5 * length / np.log(20))
+
+
+@pytest.mark.parametrize('length', [1, 3, 60])
+def test_a_chain_of_equal_lags_settles_later_than_one(bench, length):
+    """Closed form: the j-th lag before the last one reaches it as t^j/j! exp(-t)."""
+    v = bench.virtual_sensor(np.eye(length, k=1) - np.eye(length), np.zeros((length, 1)),
+                             Cv=np.eye(length)[:1], start=np.eye(length), noise=noise(0.0))
+    j, t = np.arange(length), np.linspace(0.0, 3.0 * length + 10.0, 4000)[1:]
+    left = np.sqrt(np.exp(2 * (np.outer(np.log(t), j) - gammaln(j + 1) - t[:, None])).sum(axis=1))
+    last = t[left > 0.05 * max(1.0, left.max())][-1]
+    assert settling_time(v) == pytest.approx(last, rel=0.05)
+    assert settling_time(v) > 2.9 * (1 if length < 3 else 2)
