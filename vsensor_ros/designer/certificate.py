@@ -176,10 +176,9 @@ def _in_region(plant: Plant, sensor: VirtualSensor, form: Form, box: Box) -> Cer
     where = together((plant.inputs[j], low, high) if i is None else sum_place(
         {name: float(factor) for name, factor in zip(plant.states, plant.G[i][j]) if factor},
         low, high) for i, j, low, high in region)
-    keeps = [f'{name} in [{low:.4g}, {high:.4g}] {plant.units.get(name, "")}'.rstrip()
-             for name, low, high in where]
-    return replace(_certificate('region', form, sensor, bounds, region, _said(
-        sensor, f'it holds only while plant and estimate both keep {_listed(keeps)}')),
+    return replace(
+        _certificate('region', form, sensor, bounds, region, _said(
+            sensor, 'it holds only while plant and estimate both keep within these limits')),
         uncovered=uncovered(plant, sensor, box), where=where)
 
 
