@@ -40,21 +40,20 @@ sensors:
 REACTOR = """
 name: reactor
 time: continuous
-parameters: {k0: 7.2e10, E: 8750.0, V: 100.0, q: 100.0, c0: 1.0, T0: 350.0, h: 209.2, a: 2.0, Tc: 305.0}
+parameters: {{k0: 7.2e10, E: 8750, V: 100, q: 100, c0: 1, T0: 350, h: {heat}, a: 2, Tc: 305}}
 states:
-  c: {unit: mol/l, range: [0.05, 1], process_noise: 0.01}
-  T: {unit: K, range: [300, 400], process_noise: 0.5}
-  m: {unit: mol/l, range: [0, 1], process_noise: 0.01}
-inputs: {}
+  c: {{unit: mol/l, range: [0.05, 1], process_noise: 0.01}}
+  T: {{unit: K, range: {range}, process_noise: 0.5}}
+  m: {{unit: mol/l, range: [0, 1], process_noise: 0.01}}
+inputs: {{}}
 dynamics:
   c: q/V*(c0 - c) - k0*exp(-E/T)*c
   T: q/V*(T0 - T) + h*k0*exp(-E/T)*c - a*(T - Tc)
   m: -q/V*m + k0*exp(-E/T)*c - 0.5*k0*exp(-E/T)*m
 sensors:
-  C: {measures: c, unit: mol/l, noise: 0.005}
-  TT: {measures: T, unit: K, noise: 0.2}
-  M: {measures: m, unit: mol/l, noise: 0.005}
-operating_point: {c: 0.88, T: 325.0, m: 0.1}
+  TT: {{measures: T, unit: K, noise: 0.2}}
+  M: {{measures: m, unit: mol/l, noise: 0.005}}
+operating_point: {{c: 0.88, T: 325.0, m: 0.1}}
 """
 
 
@@ -212,8 +211,10 @@ def test_terms_that_cancel_each_other_are_certified_together():
     assert 0.54 <= c.rate <= 0.6
 
 
-def test_a_reactor_is_certified_far_about_its_operating_point(tmp_path):
-    plant = loaded(tmp_path, REACTOR)
+@pytest.mark.parametrize(('heat', 'span'), [(50.0, [310, 345]), (-50.0, [315, 335])])
+def test_a_reactor_is_certified_far_about_its_operating_point(tmp_path, heat, span):
+    """Heat of reaction of both signs; the lost temperature follows from a concentration."""
+    plant = loaded(tmp_path, REACTOR.format(heat=heat, range=span))
     v = design(plant, [('TT',)])['TT', 'TT']
     c, at = v.certificate, dict(zip(plant.states, plant.operating_point))
     assert c.status in ('region', 'global')
