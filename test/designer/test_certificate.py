@@ -52,7 +52,7 @@ def system(N, J, texts=(), P=None, Gz=(), Gy=(), Cv=None, Q=None, sample_time=No
     rest = -np.eye(l0) if sample_time is None else 0.5 * np.eye(l0)
     plant = Plant.from_matrices(
         np.block([[N, J], [np.zeros((l0, k)), rest]]), np.zeros((k + l0, inputs)),
-        np.block([[Cv, Q], [np.zeros((l0, k)), np.eye(l0)]]), None, sample_time,
+        np.block([[Cv, Q], [np.zeros((l0, k)), np.eye(l0)]]), sample_time=sample_time,
         P=np.vstack([P, np.zeros((l0, len(texts)))]), G=[np.hstack(g) for g in zip(Gz, Gy)],
         nonlinearities=list(texts), **more)
     return plant, observer(plant, np.eye(k, k + l0), N, J, Cv, Q, Gz, Gy)
@@ -81,7 +81,7 @@ TANK_RANGES = [[4.1 - 1e-9, 4.1 + 1e-9], [1.1, 4.0], [1.0 - 1e-9, 1.0 + 1e-9]]
 def servo(k7, lam=-1.0):
     """Return the servo of paper S and z = velocity + b current of the rate lam (erratum 3)."""
     plant = Plant.from_matrices(
-        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[[1, 0, 2]], [1, 0, 0],
+        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[[1, 0, 2]], D=[1, 0, 0],
         P=[0, k7, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'],
         states=['angle', 'velocity', 'current'], sensors=['velocity', 'angle', 'current'])
     b = -(lam + 1)
@@ -323,7 +323,7 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
     """The x3 part of paper D: e+ = (1 - a (s2 + s3)) e, with slopes s of the square root."""
     plant = Plant.from_matrices(
         [[0.9, 0.1, 0], [0.1, 0.8, 0.1], [0, 0.1, 0.8]], [[0.1, 0], [0, 0.2], [0, 0]],
-        np.eye(3)[[2, 1]], [1, 0, 0], sample_time=1.0,
+        np.eye(3)[[2, 1]], D=[1, 0, 0], sample_time=1.0,
         P=[[0.1, 0, 0], [-0.1, 0.1, 0], [0, -0.1, 0.1]],
         G=[[1, -1, 0], [0, 1, -1], [0, 0, 1]], nonlinearities=['w1 - sqrt(w1)'] * 3,
         ranges=[[4, 9], [2, 4], [0.25, 1.0]])

@@ -33,6 +33,7 @@ from vsensor_ros.designer.error_in_box import (
 from vsensor_ros.designer.error_system import decay_rate, ErrorSystem
 from vsensor_ros.designer.form_search import hopeless, LARGEST_ORDER, lyapunov, search
 from vsensor_ros.designer.lipschitz import lipschitz
+from vsensor_ros.designer.natural_size import reaches
 from vsensor_ros.designer.peak_to_peak import peak_bound
 from vsensor_ros.designer.quadratic_form import Form
 from vsensor_ros.designer.slopes import jumps
@@ -221,18 +222,16 @@ def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(plant: Plant, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surround the operating point by so many times its own size, within the ranges."""
-    def around(point: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-        size = np.abs(point)
-        typical = size.max(initial=0.0) or 1.0
-        size = np.where(size > 0.0, size, typical)
+    """Surround the operating point, each state by so many times its own reach, in the ranges."""
+    def around(point: np.ndarray, ranges: np.ndarray, size: np.ndarray) -> np.ndarray:
         low = np.maximum(point - reach * size, ranges[:, 0])
         high = np.minimum(point + reach * size, ranges[:, 1])
         outside = low > high  # the operating point lies outside of the ranges
         return np.where(outside[:, None], ranges, np.stack([low, high], axis=1))
 
-    return (around(plant.operating_point, plant.ranges),
-            around(plant.operating_input, plant.input_range))
+    states, inputs = reaches(plant)
+    return (around(plant.operating_point, plant.ranges, states),
+            around(plant.operating_input, plant.input_range, inputs))
 
 
 # ------------------------------------------------------------------------------- the words

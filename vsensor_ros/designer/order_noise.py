@@ -82,7 +82,7 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     doubts = doubtful(existence.gap, 'whether one exists', exact)
     rungs: _Rungs = {}
 
-    reserve = [c for g in where for c in (*filters(g), *whole(g))]
+    reserve = [c for g in where for c in (*filters(g, decay is not None), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
         reserve += [c for g in where for c in on_invariant_spaces(g)]
     if len(problem.V) > 1:

@@ -7,7 +7,15 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from vsensor_ros.designer.location import Location
-from vsensor_ros.observers import Certificate, Design, Entry, Refusal, Rung, VirtualSensor
+from vsensor_ros.observers import (
+    Certificate,
+    Design,
+    Entry,
+    Refusal,
+    Rung,
+    settling_time,
+    VirtualSensor,
+)
 from vsensor_ros.observers.kinds.functional import short_name
 
 NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
@@ -158,8 +166,8 @@ def decay(entry: Entry) -> str:
         return ('none: an error that is there at the loss does not die out'
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
-    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in ' \
-           f'{number(3.0 / entry.decay, "s")})'
+    settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
+    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in {number(settled, "s")})'
 
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
