@@ -148,6 +148,11 @@ def test_validity_goes_before_rank_and_a_valid_first_asks_for_no_other():
 
 # ------------------------------------------------- slopes of shared arguments, bounded together
 
+def shared_terms(w, u):
+    return (np.exp(0.3 * w[0]) * w[1], w[0]**2 * w[1],
+            u[0] * np.sin(w[0]) + w[1] * abs(w[1]))
+
+
 def random_system(seed, discrete=False):
     """Return a plant of three terms that share two arguments and an input, and its observer."""
     rng = np.random.default_rng(seed)
@@ -159,7 +164,7 @@ def random_system(seed, discrete=False):
     if discrete:
         N, P = np.eye(k) + 0.1 * N, 0.1 * P
     plant = Plant.from_matrices(
-        N, np.zeros((k, 1)), np.eye(k), None, 0.1 if discrete else None, P=P, G=G,
+        N, np.zeros((k, 1)), np.eye(k), sample_time=0.1 if discrete else None, P=P, G=G,
         nonlinearities=texts, inputs=['u1'], ranges=np.tile([-0.5, 0.7], (k, 1)),
         input_range=[[0.2, 0.6]])
     one = np.zeros((k, k - 1))
@@ -184,9 +189,8 @@ def test_no_frozen_point_and_no_secant_of_the_box_grows_faster_than_its_bound(se
         moved = v.N @ e
         for i, term in enumerate(v.terms):
             wa, wb = plant.G[i] @ a, plant.G[i] @ b
-            run = {0: lambda w: np.exp(0.3 * w[0]) * w[1], 1: lambda w: w[0]**2 * w[1],
-                   2: lambda w: u[0] * np.sin(w[0]) + w[1] * abs(w[1])}[i]
-            moved = moved + v.P[:, i] * (run(wa) - run(wb) - term.slope @ (wa - wb))
+            moved = moved + v.P[:, i] * (shared_terms(wa, u)[i] - shared_terms(wb, u)[i]
+                                         - term.slope @ (wa - wb))
         size = np.linalg.norm(L.T @ e)
         grows = ((L.T @ e) @ (L.T @ moved) / size**2 if not discrete
                  else np.linalg.norm(L.T @ moved) / size)
@@ -194,7 +198,7 @@ def test_no_frozen_point_and_no_secant_of_the_box_grows_faster_than_its_bound(se
 
 
 def test_terms_that_cancel_each_other_are_certified_together():
-    """d e = -0.5 e - (exp x - exp x') 0.1: apart, exp and 0.9 exp could be at different x."""
+    """Of slope -0.5 - 0.1 exp x; taken apart, exp x and 0.9 exp x could be at different x."""
     plant = Plant.from_matrices(
         [[-0.5, 0], [0, -1]], None, np.eye(2), P=[[-1.0, 0.9], [0, 0]], G=[[1, 0], [2, 0]],
         nonlinearities=['exp(w1)', 'exp(0.5*w1)'], ranges=[[0, 2], [-1, 1]],
