@@ -21,7 +21,7 @@ from vsensor_ros.designer.certificate import (
     near_the_point,
     nowhere,
     on_ranges,
-    promising,
+    promise,
     WORTHWHILE,
 )
 from vsensor_ros.designer.uncovered import unstable_at
@@ -56,7 +56,7 @@ def most_valid(plant: Plant, ranked: Iterable[VirtualSensor]) -> Certified:
 def _first(plant: Plant, sensors: Sequence[VirtualSensor], box: Box | None,
            proved: Callable[[Plant, VirtualSensor], Certificate | None]) -> Certified | None:
     """Return the first of which it is proved, if it is one of the first that are promising."""
-    promised = (sensor for sensor in sensors if promising(plant, sensor, box))
+    promised = (sensor for sensor in sensors if promise(plant, sensor, box) > 0.0)
     for sensor in islice(promised, MOST_TRIED):
         certificate = proved(plant, sensor)
         if certificate is not None:
