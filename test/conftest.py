@@ -5,7 +5,7 @@ Hypothesis draws the same examples at every run; others with HYPOTHESIS_PROFILE=
 deadline and no complaint of slow drawing: the machine may be busy.
 """
 
-
+import gc
 import json
 import os
 from pathlib import Path
@@ -28,6 +28,13 @@ settings.register_profile('explore', **PATIENT)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
+
+
+def pytest_collection_finish():
+    """Keep what was collected, and all that is imported, out of every later garbage collection."""
+    gc.collect()
+    gc.freeze()
+
 
 def pytest_collection_modifyitems(items):
     """Keep in one process each file of tests that play on a ROS graph, and the lab's together."""

@@ -21,7 +21,13 @@ CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
 
 
-@pytest.mark.parametrize('plant', sorted(CONFIG.glob('*/plant.yaml')), ids=lambda p: p.parent.name)
+LONG = {'base', 'two_link'}  # plants whose design takes a minute
+
+
+@pytest.mark.parametrize('plant', [
+    pytest.param(path, id=path.parent.name,
+                 marks=[pytest.mark.slow] if path.parent.name in LONG else [])
+    for path in sorted(CONFIG.glob('*/plant.yaml'))])
 def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
     path = tmp_path / 'design.json'
     assert main([str(plant), '-o', str(path), '--up-to', '3', '--details', 'all']) == 0
