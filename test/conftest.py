@@ -169,7 +169,7 @@ def friction_truth(rate, P, G, x0, times):
             mode[:] = np.where(np.abs(sigma) > 1.0 + 1e-12, np.sign(sigma), mode)
         s = solve_ivp(lambda t, x: rate(t, x) + P @ friction(t, x), (t, times[-1]), x, 'DOP853',
                       events=[event(i, t) for i in range(len(G))], rtol=1e-11, atol=1e-13,
-                      max_step=0.01, dense_output=True)
+                      max_step=0.02, dense_output=True)
         found += [s.sol(time) for time in times[len(found):] if time <= s.t[-1]]
         t, x = s.t[-1], s.y[:, -1]
         for i, hits in enumerate(s.t_events):  # two may come at once

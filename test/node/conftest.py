@@ -195,15 +195,18 @@ class Rig:
 
     def spin_until(self, condition, timeout=60.0):
         """Poll until a condition holds, at least once; tell whether it came to that."""
-        end = time.monotonic() + timeout
+        end, pause = time.monotonic() + timeout, 0.0003
         while not condition():
             late = time.monotonic() > end
             self.replacer.poll()
             for subscription, heard in self.listeners:
                 heard.extend(raw for raw, _ in drain(subscription))
+            if condition():
+                return True
             if late:
-                return condition()
-            time.sleep(0.0003)
+                return False
+            time.sleep(pause)
+            pause = min(1.2 * pause, 0.002)  # a look costs as much as a message
         return True
 
     def spin(self, seconds=0.02):

@@ -104,7 +104,7 @@ _certificates = st.one_of(
               st.tuples(_open, _open), _text))
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=40)
 @given(proof=st.builds(
            Proof, st.just(1), st.just(1), st.tuples(
                st.builds(OrderStep, st.just(0), st.sampled_from(['impossible', 'open']), _text,

@@ -331,7 +331,7 @@ def places(value, path=()):
         yield from places(inner, (*path, key))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(st.data())
 def test_any_value_in_any_place_is_read_or_refused_but_never_a_traceback(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp('fuzz', numbered=True)
