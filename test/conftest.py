@@ -36,16 +36,6 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-def pytest_collection_modifyitems(items):
-    """Keep in one process each file of tests that play on a ROS graph, and the lab's together."""
-    for item in items:
-        where = item.path.relative_to(Path(__file__).parent)
-        if where.parts[0] == 'node':
-            item.add_marker(pytest.mark.xdist_group(where.stem))  # on a domain of the process
-        elif {'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py'} & {*where.parts}:
-            item.add_marker(pytest.mark.xdist_group('ros'))
-
-
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
                    z0=None, z0_gain=None, sample_time=None, fault_set=('y1',), healthy=('y2',),
                    inputs=(), channel=None, rows=1, **more):

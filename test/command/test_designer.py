@@ -16,7 +16,6 @@ from vsensor_ros.observers import Certificate, Design, Limit, Refusal
 from vsensor_ros.report import design_text
 from vsensor_ros.report.design_answer import answer
 
-pytestmark = pytest.mark.xdist_group('report')  # designs are made once for all of it
 CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
 
