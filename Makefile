@@ -31,9 +31,9 @@ help:
 demo: set-up
 	@$(RUN) -m vsensor_ros.command.demo --output build/demo $(ARGS)
 
-# Two processes: test/conftest.py keeps all that plays on a ROS graph in one of them.
+# Three processes: who plays on a ROS graph often waits. A file's tests share what they design.
 test: set-up
-	@ROS_PYTHON_CHECK_FIELDS=1 $(RUN) -m pytest -n 2 --dist loadgroup -m 'not slow' $(ARGS)
+	@ROS_PYTHON_CHECK_FIELDS=1 $(RUN) -m pytest -n 3 --dist loadfile -m 'not slow' $(ARGS)
 
 lint: set-up
 	@$(RUN) -m ruff check .

@@ -5,7 +5,7 @@ Hypothesis draws the same examples at every run; others with HYPOTHESIS_PROFILE=
 deadline and no complaint of slow drawing: the machine may be busy.
 """
 
-
+import gc
 import json
 import os
 from pathlib import Path
@@ -29,14 +29,11 @@ settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'fixed'))
 
 SECOND = 1_000_000_000
 
-def pytest_collection_modifyitems(items):
-    """Keep in one process each file of tests that play on a ROS graph, and the lab's together."""
-    for item in items:
-        where = item.path.relative_to(Path(__file__).parent)
-        if where.parts[0] == 'node':
-            item.add_marker(pytest.mark.xdist_group(where.stem))  # on a domain of the process
-        elif {'lab', 'commissioning', 'test_monitor.py', 'test_benchmark.py'} & {*where.parts}:
-            item.add_marker(pytest.mark.xdist_group('ros'))
+
+def pytest_collection_finish():
+    """Keep what was collected, and all that is imported, out of every later garbage collection."""
+    gc.collect()
+    gc.freeze()
 
 
 def virtual_sensor(N, J, *, B=None, P=None, Gz=(), Gy=(), texts=(), slopes=None, Cv=None, Q=None,
@@ -162,7 +159,7 @@ def friction_truth(rate, P, G, x0, times):
             mode[:] = np.where(np.abs(sigma) > 1.0 + 1e-12, np.sign(sigma), mode)
         s = solve_ivp(lambda t, x: rate(t, x) + P @ friction(t, x), (t, times[-1]), x, 'DOP853',
                       events=[event(i, t) for i in range(len(G))], rtol=1e-11, atol=1e-13,
-                      max_step=0.01, dense_output=True)
+                      max_step=0.02, dense_output=True)
         found += [s.sol(time) for time in times[len(found):] if time <= s.t[-1]]
         t, x = s.t[-1], s.y[:, -1]
         for i, hits in enumerate(s.t_events):  # two may come at once

@@ -13,7 +13,7 @@ from vsensor_ros.observers.kinds.functional.step import make_step
 from vsensor_ros.simulate.simulate import readings, simulate
 
 MS = 1_000_000
-SECONDS = 4
+SECONDS = 2
 SPRING, DRAG, DRIVE, SEEN, SPEED = 4.0, 0.5, 3.0, 0.7, 2.0
 
 

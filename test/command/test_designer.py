@@ -16,12 +16,17 @@ from vsensor_ros.observers import Certificate, Design, Limit, Refusal
 from vsensor_ros.report import design_text
 from vsensor_ros.report.design_answer import answer
 
-pytestmark = pytest.mark.xdist_group('report')  # designs are made once for all of it
 CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
 
 
-@pytest.mark.parametrize('plant', sorted(CONFIG.glob('*/plant.yaml')), ids=lambda p: p.parent.name)
+LONG = {'base', 'two_link'}  # plants whose design takes a minute
+
+
+@pytest.mark.parametrize('plant', [
+    pytest.param(path, id=path.parent.name,
+                 marks=[pytest.mark.slow] if path.parent.name in LONG else [])
+    for path in sorted(CONFIG.glob('*/plant.yaml'))])
 def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
     path = tmp_path / 'design.json'
     assert main([str(plant), '-o', str(path), '--up-to', '3', '--details', 'all']) == 0

@@ -20,7 +20,6 @@ from vsensor_ros.functions.nonlinearity import evaluate
 from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.simulate import simulate
 
-pytestmark = pytest.mark.xdist_group('bounded')  # its designs are made once
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test/reference.json').read_text())['c_tank_discrete']
 PAPER = REFERENCE['sensitive_subsystem_with_injection']['table']

@@ -68,6 +68,7 @@ def polynomial_test(A, C0, V, D, k):
     return bool(feasible), free == k
 
 
+@pytest.mark.usefixtures('without_alternatives')
 @settings(max_examples=15)
 @given(plants())
 def test_every_virtual_sensor_satisfies_its_equations(plant):
@@ -90,6 +91,7 @@ def test_every_virtual_sensor_satisfies_its_equations(plant):
             assert np.all(np.abs(eigenvalues) < 1)
 
 
+@pytest.mark.usefixtures('without_alternatives')
 @settings(max_examples=25)
 @given(plants())
 def test_smaller_orders_are_infeasible_and_refusals_are_true(plant):
@@ -109,6 +111,7 @@ def test_smaller_orders_are_infeasible_and_refusals_are_true(plant):
                 assert not any(feasible for feasible, _ in tests.values())
 
 
+@pytest.mark.usefixtures('without_alternatives')
 @settings(max_examples=15)
 @given(plants(), st.integers(0, 2**31))
 def test_the_error_forgets_its_start_whatever_the_disturbance(plant, seed):

@@ -101,7 +101,7 @@ ends = st.tuples(st.integers(-3000, 3000), st.integers(0, 4000)).map(
     lambda t: (t[0] / 1000, (t[0] + t[1]) / 1000))
 
 
-@settings(max_examples=120, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(text=trees, box=st.tuples(ends, ends, ends), seed=st.integers(0, 2**32 - 1))
 def test_no_difference_quotient_leaves_its_bounds(text, box, seed):
     """Two points of the box that differ in one argument only, for expressions of any shape."""

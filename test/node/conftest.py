@@ -42,6 +42,9 @@ from vsensor_ros.observers import Design, Refusal, VirtualSensor
 
 PERIOD = 10_000_000  # ns
 START = 1_000_000_000_000  # ns
+# A node without the services that nobody calls here: each costs as much as a topic to open.
+FEW_SERVICES = {'start_parameter_services': False, 'enable_rosout': False}
+NO_DESCRIPTIONS = {'start_type_description_service': False}  # the parameter
 
 
 @pytest.fixture(scope='session', autouse=True)
@@ -128,11 +131,12 @@ class Rig:
         self.context.init()
         # a busy machine makes no driver silent, and no jump of the system's clock
         patient = {} if sim_time else {'max_age': 60.0, 'max_jump': 60.0}
-        values = {'use_sim_time': sim_time, **patient, **parameters}
-        node = Node('replacer', context=self.context,
+        values = {'use_sim_time': sim_time, **patient, **NO_DESCRIPTIONS, **parameters}
+        node = Node('replacer', context=self.context, **FEW_SERVICES,
                     parameter_overrides=[Parameter(k, value=v) for k, v in values.items()],
                     automatically_declare_parameters_from_overrides=True)
-        self.node = Node('rig', context=self.context)
+        self.node = Node('rig', context=self.context, **FEW_SERVICES, parameter_overrides=[
+            Parameter(k, value=v) for k, v in NO_DESCRIPTIONS.items()])
         self.now = START
         self.publishers = {}
         self.listeners = []
@@ -191,15 +195,18 @@ class Rig:
 
     def spin_until(self, condition, timeout=60.0):
         """Poll until a condition holds, at least once; tell whether it came to that."""
-        end = time.monotonic() + timeout
+        end, pause = time.monotonic() + timeout, 0.0003
         while not condition():
             late = time.monotonic() > end
             self.replacer.poll()
             for subscription, heard in self.listeners:
                 heard.extend(raw for raw, _ in drain(subscription))
+            if condition():
+                return True
             if late:
-                return condition()
-            time.sleep(0.0003)
+                return False
+            time.sleep(pause)
+            pause = min(1.2 * pause, 0.002)  # a look costs as much as a message
         return True
 
     def spin(self, seconds=0.02):

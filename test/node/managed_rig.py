@@ -1,7 +1,9 @@
 """A managed node as `ros2 run` has it, in threads of this process, and an engineer beside it."""
 
+import gc
 from threading import Event, Thread
 import time
+from types import SimpleNamespace
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -14,9 +16,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64, String
 
-from vsensor_ros.node import start
+from vsensor_ros.node import lifecycle, start
 from vsensor_ros.node.lifecycle import ManagedNode, run_node
 
+# What pytest holds is frozen for good in test/conftest.py: else each node would look through it.
+THRIFTY = SimpleNamespace(collect=gc.collect, freeze=lambda: None, unfreeze=lambda: None)
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -28,7 +32,7 @@ class Machine:
         self.context.init(args=['--ros-args', *ros_args])
         self.node = ManagedNode(
             self.context, [Parameter(name, value=value) for name, value in parameters.items()])
-        self.engineer = Node('engineer', context=self.context)
+        self.engineer = Node('engineer', context=self.context, start_parameter_services=False)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.engineer)
         self.log = []
@@ -117,6 +121,8 @@ def machines(parameters):
     """Be the fixture that starts managed nodes with parameters beyond these; all end with it."""
     started = []
     discovery, start.DISCOVERY = start.DISCOVERY, 0.0  # what isolation said is waited for, still
+    longest, lifecycle.LONGEST = lifecycle.LONGEST, 0.05  # s until its executor sees that it ends
+    lifecycle.gc = THRIFTY
 
     def start_one(ros_args=(), **more):
         # a busy machine makes no driver silent, and no jump of the clock
@@ -127,7 +133,7 @@ def machines(parameters):
     yield start_one
     for machine in started:
         machine.close()
-    start.DISCOVERY = discovery
+    start.DISCOVERY, lifecycle.LONGEST, lifecycle.gc = discovery, longest, gc
 
 
 def logged(capfd):

@@ -83,8 +83,7 @@ def configure(arguments):
     ('replacer', (), '/replacer'),
     ('guard', ('-r', '__node:=guard'), '/guard'),
 ])
-@pytest.mark.parametrize('beside', [(), (LAUNCHED,), (ROBOT_WIDE, LAUNCHED)],
-                         ids=['alone', 'launched', 'robot-wide'])
+@pytest.mark.parametrize('beside', [(), (ROBOT_WIDE, LAUNCHED)], ids=['alone', 'robot-wide'])
 def test_it_is_configured(given, key, more, name, beside):
     inside = name.rpartition('/')[0]
     others = ('robot_name', 'update_rate') if ROBOT_WIDE in beside else ()

@@ -524,7 +524,7 @@ def test_missing_directory_and_forbidden(tmp_path):
         refused(path, 'cannot be read (Permission denied)')
 
 
-@settings(deadline=None, max_examples=200,
+@settings(deadline=None, max_examples=100,
           suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.data())
 def test_a_mangled_file_loads_or_gives_one_line(tmp_path, data):

@@ -49,7 +49,7 @@ disturbed = st.builds(lambda a, k: Apply('+', (a, Apply('*', (Number(k), Name('r
                       nodes, st.sampled_from([-2.0, 0.0, 1.5]))
 
 
-@settings(RELAXED, max_examples=200)
+@settings(RELAXED, max_examples=80)
 @given(st.tuples(disturbed, disturbed, nodes), st.lists(st.floats(-3, 3), min_size=6,
                                                         max_size=6))
 def test_split_equals_the_equations(equations, at):

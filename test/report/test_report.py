@@ -28,7 +28,6 @@ from vsensor_ros.report import page as report_module, report_simulation
 from vsensor_ros.report.page import page, write_report
 
 pytest.importorskip('matplotlib')
-pytestmark = pytest.mark.xdist_group('report')  # its designs and pages are made once
 CONFIG = Path(__file__).parents[2] / 'config'
 VOID = {'meta', 'br'}
 

@@ -13,7 +13,6 @@ from vsensor_ros.report.page import page
 from vsensor_ros.report.report_simulation import disturbed, from_wrong_start
 
 pytest.importorskip('matplotlib')
-pytestmark = pytest.mark.xdist_group('report')
 PENDULUM = """
 name: pendulum
 time: continuous

@@ -15,7 +15,6 @@ import warnings
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize
-from scipy.signal import place_poles
 
 from vsensor_ros.designer.canonical import identification_rows, jordan_rows
 from vsensor_ros.designer.existence import examine
@@ -218,6 +217,7 @@ def identification(problem: Problem, k: int, S: frozenset[int]) -> list[VirtualS
 def with_residual(problem: Problem, candidate: Candidate,
                   eigenvalues: np.ndarray | None = None) -> Iterator[Candidate]:
     """Add the feedback K of a residual ``r = R y0 - C_* z`` that places the spectrum of N."""
+    from scipy.signal import place_poles  # which loads scipy.stats, too
     C_ = measured_part(candidate.Phi, problem.C0)
     if not len(C_):
         return

@@ -37,7 +37,6 @@ def test_linear_part_is_exact_for_linear_readings_and_held_commands(bench):
     np.testing.assert_allclose(z[0], truth, atol=1e-11)
 
 
-pytestmark = pytest.mark.xdist_group('step')  # its truths are integrated once
 FINEST = 200  # Hz
 
 
