@@ -110,7 +110,7 @@ class FunctionalBatch(Batch):
             through = np.abs(self.Q[some]) * ages + through
         reach = np.minimum(self.gains[some] * ages, through)
         moved: np.ndarray = np.where(reach > 0.0, reach * slopes, 0.0)
-        return np.linalg.norm(moved, axis=1)
+        return np.asarray(np.sqrt((moved * moved).sum(axis=1)))
 
 
 def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float,
