@@ -39,7 +39,8 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
                 block.split())
         else:
             some = ' for a time' if entry.grade == 'temporary' else ''
-            assert f': can be replaced{some}\n' in block
+            left = design_text.left_out(entry)
+            assert f'{title}: can be replaced{some}{left} order' in ' '.join(block.split())
             assert f'order             {entry.order} (' in block
             assert all(''.join(entry.terms[i].name.split()) in ''.join(block.split())
                        for i in entry.active)

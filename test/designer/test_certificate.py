@@ -349,7 +349,7 @@ def test_the_range_of_an_input_bounds_the_slopes_that_it_scales():
     c = of([[-0.5, 1.5]])
     assert c.status == 'region' and c.rate == pytest.approx(0.5, rel=0.02)
     assert c.region == (Limit(0, 0, -np.inf, np.inf), Limit(None, 0, -0.5, 1.5))
-    assert 'keep u1 in [-0.5, 1.5]' in c.reason
+    assert c.where == (('u1', -0.5, 1.5),)
     # one side alone bounds no slope, so a box about the operating input is made, within it
     assert of([[-np.inf, 0.5]]).region[1] == Limit(None, 0, -2.0, 0.5)
 

@@ -225,7 +225,8 @@ def test_hostile_texts_are_only_texts(text, plain, monkeypatch):
             P=np.zeros((entry.order, 1)), Gz=(np.zeros((1, entry.order)),),
             Gy=(np.zeros((1, 1)),), Gu=(np.zeros((1, 1)),),
             certificate=Certificate('region', 1.0, 1.0, np.eye(entry.order),
-                                    (Limit(0, 0, 0.0, 1.0),), None, text))}
+                                    (Limit(0, 0, 0.0, 1.0),), None, text, text,
+                                    ((text, 0.0, 1.0),)))}
     result = replace(result, entries=entries, plant_name=text, units=units)
     made = page(plant, result, locations(plant))
     shown = Page(made)
@@ -237,7 +238,8 @@ def test_hostile_texts_are_only_texts(text, plain, monkeypatch):
     assert f'Virtual sensors of {text}' in shown.text
     for needle in (f'reason {text}', f'In doubt: doubt {text}', f'Instead: or {text}'):
         assert needle in shown.sections['e1']
-    assert f'only while 0 <= w1 of {text} <= 1: {text}' in shown.sections['e2']
+    assert f'only while 0 <= {text} <= 1: {text}' in shown.sections['e2']
+    assert f'BUT NOT PROVED {text}' in shown.sections['e2']
     pictures = re.findall(r'<svg.*?</svg>', made, re.DOTALL)
     assert len(pictures) == 1
     for svg in pictures:

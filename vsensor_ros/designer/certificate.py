@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -31,7 +32,7 @@ from vsensor_ros.designer.error_in_box import (
     used_states,
 )
 from vsensor_ros.designer.error_system import decay_rate, ErrorSystem
-from vsensor_ros.designer.form_search import hopeless, LARGEST_ORDER, lyapunov, search
+from vsensor_ros.designer.form_search import ceiling, LARGEST_ORDER, lyapunov, search
 from vsensor_ros.designer.lipschitz import lipschitz
 from vsensor_ros.designer.natural_size import reaches
 from vsensor_ros.designer.peak_to_peak import peak_bound
@@ -47,7 +48,8 @@ from vsensor_ros.plant.plant import Plant
 REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 WORTHWHILE = 0.2  # of the linearisation's rate: a larger box is taken down to this rate
 LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
-ROOM = 1.1  # frozen slopes must leave so much more, or a form is not looked for
+ROOM = 1.1  # eigenvalues must allow so much more, or a form is not looked for
+PLENTY = 1.5  # of that
 MOST_TRIED = 4  # virtual sensors in one box
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
 Box = tuple[np.ndarray, np.ndarray]  # of states (n, 2) and inputs (m, 2)
@@ -116,17 +118,19 @@ def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
     """
     wanted = [(sensor, WORTHWHILE * _rate_here(plant, sensor)) for sensor in sensors
               if feeding_terms(sensor) and not _runs_away(plant, sensor)]
-    boxes = [_box(plant, reach) for reach in REACHES]
+    boxes = _boxes(plant, [sensor for sensor, _ in wanted])
     for box, larger in zip(boxes, [(plant.ranges, plant.input_range), *boxes]):
         if all(map(np.array_equal, box, larger)):
             continue
-        tried = 0
-        for sensor, rate in wanted:
-            if rate > 0.0 and tried < MOST_TRIED and promising(plant, sensor, box, rate):
-                form = _form_in(plant, sensor, box, rate)
-                if form is not None:
-                    return sensor, _in_region(plant, sensor, form, box)
-                tried += 1
+        room = [promise(plant, sensor, box) / rate if rate > 0.0 else 0.0
+                for sensor, rate in wanted]
+        # the first with plenty of it, else those with most
+        enough = max(ROOM, min(PLENTY, *sorted(room)[-MOST_TRIED:])) if room else ROOM
+        for _, (sensor, rate) in islice(filter(lambda one: one[0] >= enough, zip(room, wanted)),
+                                        MOST_TRIED):
+            form = _form_in(plant, sensor, box, rate)
+            if form is not None:
+                return sensor, _in_region(plant, sensor, form, box)
     return None
 
 
@@ -149,12 +153,13 @@ def nowhere(plant: Plant, sensor: VirtualSensor, reason: str = '') -> Certificat
                  uncovered(plant, sensor, None))
 
 
-def promising(plant: Plant, sensor: VirtualSensor, box: Box | None, rate: float = 0.0) -> bool:
-    """Tell at little cost whether a rate may be proved in a box, None: everywhere."""
+def promise(plant: Plant, sensor: VirtualSensor, box: Box | None) -> float:
+    """Return at little cost what rate may at most be proved in a box, None: everywhere."""
     box = box or _unlimited(plant)
     bounds = slope_bounds(plant, sensor, *box)
-    return not feeding_terms(sensor) or not _runs_away(plant, sensor) and not hopeless(
-        joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds), ROOM * rate)
+    if feeding_terms(sensor) and _runs_away(plant, sensor):
+        return -np.inf
+    return ceiling(joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds))
 
 
 def _rate_here(plant: Plant, sensor: VirtualSensor) -> float:
@@ -166,7 +171,7 @@ def _form_in(plant: Plant, sensor: VirtualSensor, box: Box, wanted: float = 0.0)
     """Search for a form in a box: with each slope for itself, else with all together."""
     bounds = slope_bounds(plant, sensor, *box)
     apart, joint = error_system(sensor, bounds), joint_system(plant, sensor, bounds, *box)
-    if joint is not None and hopeless(joint, wanted):
+    if joint is not None and not ceiling(joint) > wanted:
         return None
     form = search(apart, wanted)
     return search(joint, wanted) if form is None and joint is not None else form
@@ -177,10 +182,9 @@ def _in_region(plant: Plant, sensor: VirtualSensor, form: Form, box: Box) -> Cer
     where = together((plant.inputs[j], low, high) if i is None else sum_place(
         {name: float(factor) for name, factor in zip(plant.states, plant.G[i][j]) if factor},
         low, high) for i, j, low, high in region)
-    keeps = [f'{name} in [{low:.4g}, {high:.4g}] {plant.units.get(name, "")}'.rstrip()
-             for name, low, high in where]
-    return replace(_certificate('region', form, sensor, bounds, region, _said(
-        sensor, f'it holds only while plant and estimate both keep {_listed(keeps)}')),
+    return replace(
+        _certificate('region', form, sensor, bounds, region, _said(
+            sensor, 'it holds only while plant and estimate both keep within these limits')),
         uncovered=uncovered(plant, sensor, box), where=where)
 
 
@@ -222,9 +226,27 @@ def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     return np.tile(line, (len(plant.states), 1)), np.tile(line, (len(plant.inputs), 1))
 
 
-def _box(plant: Plant, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surround the operating point, each state by so many times its own reach, in the ranges."""
+def _boxes(plant: Plant, sensors: Sequence[VirtualSensor]) -> list[Box]:
+    """Return the boxes about the operating point that are tried, the largest first."""
+    states = sorted({j for sensor in sensors for j in used_states(plant, sensor)})
+    inputs = sorted({j for sensor in sensors for j in used_inputs(sensor)})
+
+    def size(box: Box) -> float:
+        return float(np.log(np.ptp(np.vstack([box[0][states], box[1][inputs]]), axis=1)).sum())
+
+    return sorted((_box(plant, reach, wide) for reach in REACHES for wide in (True, False)),
+                  key=size, reverse=True)
+
+
+def _box(plant: Plant, reach: float, wide: bool = False) -> Box:
+    """
+    Surround the operating point, each state by so many times its own reach, in the ranges.
+
+    wide: or its own operating value, where that is larger.
+    """
     def around(point: np.ndarray, ranges: np.ndarray, size: np.ndarray) -> np.ndarray:
+        if wide:
+            size = np.maximum(size, np.abs(point))
         low = np.maximum(point - reach * size, ranges[:, 0])
         high = np.minimum(point + reach * size, ranges[:, 1])
         outside = low > high  # the operating point lies outside of the ranges

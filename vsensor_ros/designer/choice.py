@@ -21,7 +21,7 @@ from vsensor_ros.designer.certificate import (
     near_the_point,
     nowhere,
     on_ranges,
-    promising,
+    promise,
     WORTHWHILE,
 )
 from vsensor_ros.designer.uncovered import unstable_at
@@ -46,8 +46,11 @@ def most_valid(plant: Plant, ranked: Iterable[VirtualSensor]) -> Certified:
                                     partial(on_ranges, share=share))
         if found is None:
             # those that are unstable nowhere on the declared ranges before the others
-            sensors.sort(key=lambda one: unstable_at(plant, one) != '')
-            found = near_the_point(plant, sensors)
+            unstable = [bool(unstable_at(plant, one)) for one in sensors]
+            groups = [[one for one, bad in zip(sensors, unstable) if bad is worse]
+                      for worse in (False, True)]
+            found = near_the_point(plant, groups[0]) or near_the_point(plant, groups[1])
+            sensors = [*groups[0], *groups[1]]
         return found or (sensors[0], nowhere(plant, sensors[0]))
     except ImportError:
         return first, certify(plant, first)
@@ -56,7 +59,7 @@ def most_valid(plant: Plant, ranked: Iterable[VirtualSensor]) -> Certified:
 def _first(plant: Plant, sensors: Sequence[VirtualSensor], box: Box | None,
            proved: Callable[[Plant, VirtualSensor], Certificate | None]) -> Certified | None:
     """Return the first of which it is proved, if it is one of the first that are promising."""
-    promised = (sensor for sensor in sensors if promising(plant, sensor, box))
+    promised = (sensor for sensor in sensors if promise(plant, sensor, box) > 0.0)
     for sensor in islice(promised, MOST_TRIED):
         certificate = proved(plant, sensor)
         if certificate is not None:

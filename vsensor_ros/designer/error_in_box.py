@@ -106,7 +106,7 @@ def joint_system(plant: Plant, sensor: VirtualSensor, bounds: Bounds, states: np
     feeding = feeding_terms(sensor)
     rows = [row for i in feeding for row in plant.G[i]]
     commands = used_inputs(sensor)
-    if not all(row.any() for row in rows):
+    if not rows or not all(row.any() for row in rows):
         return None
     found, places = sides_of(rows)
     box = np.vstack([image(np.array(found), states), inputs[commands]])

@@ -82,10 +82,10 @@ def search(error: ErrorSystem, wanted: float = 0.0) -> Form | None:
 
     Raises ImportError when it would need cvxpy or clarabel and they are missing.
     """
-    if hopeless(error, wanted):
+    highest = ceiling(error)
+    if not highest > wanted:
         return None
     fed, rising, k = error.bounded.feeding, error.rising.feeding, len(error.N)
-    ceiling = _ceiling(error)
     nominal = lyapunov(error)
     if nominal is None:
         return None
@@ -101,15 +101,15 @@ def search(error: ErrorSystem, wanted: float = 0.0) -> Form | None:
     least = weigh(L)
     if k > LARGEST_ORDER:
         if not rising.radius.size:
-            _climb(_riccati(error, L), ceiling, max(least, 0.0), wanted, weigh, ROUGH)
-    elif k > 1 and (least < (1 - ACCURACY) * ceiling or rising.h.any()):
+            _climb(_riccati(error, L), highest, max(least, 0.0), wanted, weigh, ROUGH)
+    elif k > 1 and (least < (1 - ACCURACY) * highest or rising.h.any()):
         try:
             solve = _inequalities(error, L)
         except ImportError:
             if not forms:
                 raise
         else:
-            _climb(solve, ceiling, max(least, 0.0), wanted, weigh,
+            _climb(solve, highest, max(least, 0.0), wanted, weigh,
                    ROUGH if error.joint is not None else
                    ACCURACY if k + len(fed.radius) <= SMALL else COARSE)
     best = max(forms, key=lambda form: form.rate, default=None)
@@ -118,21 +118,17 @@ def search(error: ErrorSystem, wanted: float = 0.0) -> Form | None:
     return replace(best, bound=min(peak_bound(error, *nominal), *(f.bound for f in forms)))
 
 
-def hopeless(error: ErrorSystem, wanted: float = 0.0) -> bool:
-    """Tell whether eigenvalues alone rule out a form of more than the wanted rate."""
+def ceiling(error: ErrorSystem) -> float:
+    """Return the rate that no form can exceed, by eigenvalues alone; -inf: there is no form."""
     rising = error.rising.feeding
     if error.loose.feeding.radius.size or (rising.radius.size and error.sample_time is not None):
-        return True
+        return -np.inf
     if np.any(np.sum(rising.p.T * rising.g, axis=1) >= 0):
-        return True  # S p = -t g' with t > 0 needs g p = -p' S p / t
-    return not _ceiling(error) > wanted
-
-
-def _ceiling(error: ErrorSystem) -> float:
-    ceiling = decay_rate(error.N, error.sample_time)
+        return -np.inf  # S p = -t g' with t > 0 needs g p = -p' S p / t
+    least = decay_rate(error.N, error.sample_time)
     if error.cornered:
-        ceiling = min(ceiling, *(decay_rate(A, error.sample_time) for A in error.corners()))
-    return ceiling
+        least = min(least, *(decay_rate(A, error.sample_time) for A in error.corners()))
+    return least
 
 
 def _climb(solve: Solve, ceiling: float, low: float, wanted: float,

@@ -206,7 +206,8 @@ def certificate(entry: VirtualSensor) -> list[str]:
     elif c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
-        where = 'everywhere' if c.status == 'global' else 'only in a region'
+        region = ', '.join(map(_between, entry.region))
+        where = 'everywhere' if c.status == 'global' else f'only while {region}'
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
     if c.lipschitz is not None and entry.order:
@@ -214,6 +215,13 @@ def certificate(entry: VirtualSensor) -> list[str]:
         said.append(f"the papers' Lipschitz condition {'holds' if left < right else 'fails'}: "
                     f'{number(left)} {"<" if left < right else "is not below"} {number(right)}')
     return said
+
+
+def _between(place: tuple[str, float, float]) -> str:
+    of, low, high = place
+    if np.isfinite(low):
+        of = f'{number(low)} <= {of}'
+    return f'{of} <= {number(high)}' if np.isfinite(high) else of
 
 
 def _bound(c: Certificate) -> str:
