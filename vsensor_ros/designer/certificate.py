@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -48,6 +49,7 @@ REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 WORTHWHILE = 0.2  # of the linearisation's rate: a larger box is taken down to this rate
 LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
 ROOM = 1.1  # eigenvalues must allow so much more, or a form is not looked for
+PLENTY = 1.5  # of that
 MOST_TRIED = 4  # virtual sensors in one box
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
 Box = tuple[np.ndarray, np.ndarray]  # of states (n, 2) and inputs (m, 2)
@@ -116,14 +118,16 @@ def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
     """
     wanted = [(sensor, WORTHWHILE * _rate_here(plant, sensor)) for sensor in sensors
               if feeding_terms(sensor) and not _runs_away(plant, sensor)]
-    boxes = [_box(plant, reach, wide) for reach in REACHES for wide in (True, False)]
+    boxes = _boxes(plant, [sensor for sensor, _ in wanted])
     for box, larger in zip(boxes, [(plant.ranges, plant.input_range), *boxes]):
         if all(map(np.array_equal, box, larger)):
             continue
         room = [promise(plant, sensor, box) / rate if rate > 0.0 else 0.0
                 for sensor, rate in wanted]
-        enough = max(ROOM, sorted(room)[-MOST_TRIED:][0]) if room else ROOM
-        for _, (sensor, rate) in filter(lambda one: one[0] >= enough, zip(room, wanted)):
+        # the first with plenty of it, else those with most
+        enough = max(ROOM, min(PLENTY, *sorted(room)[-MOST_TRIED:])) if room else ROOM
+        for _, (sensor, rate) in islice(filter(lambda one: one[0] >= enough, zip(room, wanted)),
+                                        MOST_TRIED):
             form = _form_in(plant, sensor, box, rate)
             if form is not None:
                 return sensor, _in_region(plant, sensor, form, box)
@@ -220,6 +224,18 @@ def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     # boxes of states (n, 2) and inputs (m, 2) that say nothing
     line = np.array([-np.inf, np.inf])
     return np.tile(line, (len(plant.states), 1)), np.tile(line, (len(plant.inputs), 1))
+
+
+def _boxes(plant: Plant, sensors: Sequence[VirtualSensor]) -> list[Box]:
+    """Return the boxes about the operating point that are tried, the largest first."""
+    states = sorted({j for sensor in sensors for j in used_states(plant, sensor)})
+    inputs = sorted({j for sensor in sensors for j in used_inputs(sensor)})
+
+    def size(box: Box) -> float:
+        return float(np.log(np.ptp(np.vstack([box[0][states], box[1][inputs]]), axis=1)).sum())
+
+    return sorted((_box(plant, reach, wide) for reach in REACHES for wide in (True, False)),
+                  key=size, reverse=True)
 
 
 def _box(plant: Plant, reach: float, wide: bool = False) -> Box:

@@ -46,8 +46,11 @@ def most_valid(plant: Plant, ranked: Iterable[VirtualSensor]) -> Certified:
                                     partial(on_ranges, share=share))
         if found is None:
             # those that are unstable nowhere on the declared ranges before the others
-            sensors.sort(key=lambda one: unstable_at(plant, one) != '')
-            found = near_the_point(plant, sensors)
+            unstable = [bool(unstable_at(plant, one)) for one in sensors]
+            groups = [[one for one, bad in zip(sensors, unstable) if bad is worse]
+                      for worse in (False, True)]
+            found = near_the_point(plant, groups[0]) or near_the_point(plant, groups[1])
+            sensors = [*groups[0], *groups[1]]
         return found or (sensors[0], nowhere(plant, sensors[0]))
     except ImportError:
         return first, certify(plant, first)
