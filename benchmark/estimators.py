@@ -125,7 +125,7 @@ def cases() -> list[Case]:
 def _known(plant: Plant, noise: float, process_noise: float, inflow: str = '') -> Plant:
     """Add noises (of every sensor; of every state, per sqrt(s)), and an inflow into state 1."""
     return Plant.from_matrices(
-        plant.A, plant.B, plant.C, np.eye(len(plant.A), 1) if inflow else plant.D,
+        plant.A, plant.B, plant.C, D=np.eye(len(plant.A), 1) if inflow else plant.D,
         P=plant.P, G=plant.G, nonlinearities=plant.terms, states=plant.states,
         inputs=plant.inputs, sensors=plant.sensors,
         disturbances=(inflow,) if inflow else plant.disturbances, units=None,
@@ -149,7 +149,7 @@ def run(case: Case, disturbed: bool, seed: int, seconds: float) -> Run:
         rho = np.abs(rho)
     u = case.inputs(t[held * HELD]).T
     shaken = Plant.from_matrices(
-        plant.A, plant.B, plant.C, np.hstack((plant.D, np.eye(n))), P=plant.P, G=plant.G,
+        plant.A, plant.B, plant.C, D=np.hstack((plant.D, np.eye(n))), P=plant.P, G=plant.G,
         nonlinearities=plant.terms, inputs=plant.inputs)
     x = simulate(shaken, t, u, np.hstack((np.tile(rho[:, None], d), shaking)), start)
     y = x @ plant.C.T

@@ -108,7 +108,8 @@ def noisy_plant(seed):
     def truth(factor=1.0):
         held = np.hstack([factor * A, B, np.eye(4)])
         sampled = expm(0.02 * np.vstack([held, np.zeros((5, 9))]))[:4]
-        return Plant.from_matrices(sampled[:, :4], sampled[:, 4:5], C, sampled[:, 5:], 0.02)
+        return Plant.from_matrices(sampled[:, :4], sampled[:, 4:5], C, D=sampled[:, 5:],
+                                   sample_time=0.02)
     return plant, design(plant), truth
 
 

@@ -99,7 +99,7 @@ def test_what_can_be_decoupled_is():
     # x1 is disturbed by rho1 where no sensor sees it apart; rho2 acts on the measured x3 only
     plant = Plant.from_matrices(
         [[-1, 0.5, 0.2], [0.4, -2, 0.1], [0, 0, -1]], None, np.eye(3),
-        [[1, 0], [0, 0], [0, 1]])
+        D=[[1, 0], [0, 0], [0, 1]])
     entry = design(plant, [('y1',)], bounded=True)['y1', 'y1']
     assert 'decoupled from rho2, not decoupled from rho1' in entry.method
     response = responses(plant, entry, np.array([0.0, 1.0, 30.0]))
@@ -107,7 +107,7 @@ def test_what_can_be_decoupled_is():
 
 
 def test_sensor_that_reads_rho_itself():
-    plant = Plant.from_matrices([[-1.0]], None, [[1.0], [1.0]], [[0.0]], Cd=[[1.0], [0.0]])
+    plant = Plant.from_matrices([[-1.0]], None, [[1.0], [1.0]], D=[[0.0]], Cd=[[1.0], [0.0]])
     assert isinstance(design(plant)['y1', 'y1'], Refusal)
     entry = design(plant, bounded=True)['y1', 'y1']
     assert entry.disturbance_gain == pytest.approx(1.0, rel=1e-5)  # rho is in y1, not in y2
@@ -158,7 +158,8 @@ def random_plant(seed):
     Cd = rng.normal(size=(outputs, disturbances)) * (rng.random((outputs, disturbances)) < 0.3)
     return Plant.from_matrices(
         A, rng.normal(size=(n, 1)), rng.normal(size=(outputs, n)),
-        rng.normal(size=(n, disturbances)), sample_time, Cd=Cd if rng.random() < 0.4 else None)
+        D=rng.normal(size=(n, disturbances)), sample_time=sample_time,
+        Cd=Cd if rng.random() < 0.4 else None)
 
 
 @cache

@@ -52,7 +52,7 @@ def system(N, J, texts=(), P=None, Gz=(), Gy=(), Cv=None, Q=None, sample_time=No
     rest = -np.eye(l0) if sample_time is None else 0.5 * np.eye(l0)
     plant = Plant.from_matrices(
         np.block([[N, J], [np.zeros((l0, k)), rest]]), np.zeros((k + l0, inputs)),
-        np.block([[Cv, Q], [np.zeros((l0, k)), np.eye(l0)]]), None, sample_time,
+        np.block([[Cv, Q], [np.zeros((l0, k)), np.eye(l0)]]), sample_time=sample_time,
         P=np.vstack([P, np.zeros((l0, len(texts)))]), G=[np.hstack(g) for g in zip(Gz, Gy)],
         nonlinearities=list(texts), **more)
     return plant, observer(plant, np.eye(k, k + l0), N, J, Cv, Q, Gz, Gy)
@@ -81,7 +81,7 @@ TANK_RANGES = [[4.1 - 1e-9, 4.1 + 1e-9], [1.1, 4.0], [1.0 - 1e-9, 1.0 + 1e-9]]
 def servo(k7, lam=-1.0):
     """Return the servo of paper S and z = velocity + b current of the rate lam (erratum 3)."""
     plant = Plant.from_matrices(
-        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[[1, 0, 2]], [1, 0, 0],
+        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[[1, 0, 2]], D=[1, 0, 0],
         P=[0, k7, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'],
         states=['angle', 'velocity', 'current'], sensors=['velocity', 'angle', 'current'])
     b = -(lam + 1)
@@ -206,7 +206,7 @@ def test_terms_with_measured_arguments_only_count_in_the_bound():
     c = certify(*system([[-1.0]], [[1.0]], ['w1**2'], **term, ranges=[[-9, 9], [-1, 2]]))
     assert c.status == 'global' and c.region == ()
     assert c.bound == pytest.approx(1 + 2 * 4, rel=1e-3)
-    assert 'while the states stay in the given ranges' in c.reason
+    assert 'while states and inputs stay in the given ranges' in c.reason
 
 
 # ---------------------------------------------------------------------- the papers' cases
@@ -323,7 +323,7 @@ def test_discrete_tank_is_certified_away_from_equal_levels():
     """The x3 part of paper D: e+ = (1 - a (s2 + s3)) e, with slopes s of the square root."""
     plant = Plant.from_matrices(
         [[0.9, 0.1, 0], [0.1, 0.8, 0.1], [0, 0.1, 0.8]], [[0.1, 0], [0, 0.2], [0, 0]],
-        np.eye(3)[[2, 1]], [1, 0, 0], sample_time=1.0,
+        np.eye(3)[[2, 1]], D=[1, 0, 0], sample_time=1.0,
         P=[[0.1, 0, 0], [-0.1, 0.1, 0], [0, -0.1, 0.1]],
         G=[[1, -1, 0], [0, 1, -1], [0, 0, 1]], nonlinearities=['w1 - sqrt(w1)'] * 3,
         ranges=[[4, 9], [2, 4], [0.25, 1.0]])
@@ -351,7 +351,7 @@ def test_the_range_of_an_input_bounds_the_slopes_that_it_scales():
     assert c.region == (Limit(0, 0, -np.inf, np.inf), Limit(None, 0, -0.5, 1.5))
     assert 'keep u1 in [-0.5, 1.5]' in c.reason
     # one side alone bounds no slope, so a box about the operating input is made, within it
-    assert of([[-np.inf, 0.5]]).region[1] == Limit(None, 0, -1.0, 0.5)
+    assert of([[-np.inf, 0.5]]).region[1] == Limit(None, 0, -2.0, 0.5)
 
 
 # --------------------------------------------------------------------------- properties

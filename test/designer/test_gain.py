@@ -54,7 +54,7 @@ def test_the_noise_gain_that_is_stated_is_exceeded_at_no_frequency(sample_time):
     rng = np.random.default_rng(4)
     A = rng.normal(size=(5, 5))
     A = A - 5 * np.eye(5) if sample_time is None else A / 4
-    plant = Plant.from_matrices(A, None, rng.normal(size=(3, 5)), None, sample_time)
+    plant = Plant.from_matrices(A, None, rng.normal(size=(3, 5)), sample_time=sample_time)
     for entry in design(plant).virtual_sensors:
         s = (1j * np.geomspace(1e-3, 1e5, 20000) if sample_time is None
              else np.exp(1j * np.linspace(0, np.pi, 20000)))

@@ -16,11 +16,11 @@ def only(plant, fault_set, channel, **choices):
 def test_a_weak_coupling_of_a_stiff_plant_is_not_taken_for_rounding():
     """Motor current (1 us) heats the winding (600 s); the voltage noise must not be lost."""
     A = [[-4 / 2.75e-6, 0], [8e-4, -1 / 600]]
-    disturbed = Plant.from_matrices(A, [1 / 2.75e-6, 0], [[0, 1]], [1 / 2.75e-6, 0])
+    disturbed = Plant.from_matrices(A, [1 / 2.75e-6, 0], [[0, 1]], D=[1 / 2.75e-6, 0])
     refusal = only(disturbed, ('y1',), 'y1')
     assert isinstance(refusal, Refusal) and 'rho1' in refusal.reason
     # with the current measured it is exact, and really fed by it
-    both = Plant.from_matrices(A, [1 / 2.75e-6, 0], np.eye(2), [1 / 2.75e-6, 0])
+    both = Plant.from_matrices(A, [1 / 2.75e-6, 0], np.eye(2), D=[1 / 2.75e-6, 0])
     sensor = only(both, ('y2',), 'y2')
     transfer = sensor.Cv @ np.linalg.solve(-sensor.N, sensor.J) + sensor.Q
     assert transfer[0, 0] == pytest.approx(8e-4 * 600, rel=1e-9)
@@ -55,7 +55,7 @@ def test_friction_with_the_wrong_sign_is_not_handed_out():
     """Erratum 1: with k7 = +1 two estimates both stay, -1 and +1 apart from zero."""
     def servo(k7):
         return Plant.from_matrices(
-            [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3), [1, 0, 0],
+            [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3), D=[1, 0, 0],
             P=[0, k7, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'],
             states=['angle', 'velocity', 'current'])
     assert isinstance(only(servo(-1.0), ('y2',), 'y2'), VirtualSensor)
@@ -75,10 +75,10 @@ def test_units_do_not_change_the_answer():
     rng = np.random.default_rng(3)
     A = rng.normal(size=(4, 4)) - 2 * np.eye(4)
     B, C, D = rng.normal(size=(4, 1)), rng.normal(size=(3, 4)), rng.normal(size=(4, 1))
-    plain = design(Plant.from_matrices(A, B, C, D))
+    plain = design(Plant.from_matrices(A, B, C, D=D))
     s, c = np.array([1e-6, 1, 1e6, 1e3]), np.array([1e3, 1e-6, 1])
     scaled = design(Plant.from_matrices(
-        A * s[:, None] / s, B * s[:, None] * 1e6, C / s * c[:, None], D * s[:, None] * 1e-6))
+        A * s[:, None] / s, B * s[:, None] * 1e6, C / s * c[:, None], D=D * s[:, None] * 1e-6))
     for mine, theirs in zip(plain.entries.values(), scaled.entries.values()):
         assert mine.order == theirs.order
         np.testing.assert_allclose(np.sort(mine.eigenvalues.real),
@@ -89,7 +89,7 @@ def test_refusals_read_well_when_no_sensor_is_left():
     integrator = Plant.from_matrices([[0]], None, [[1]], states=['angle'])
     assert only(integrator, ('y1',), 'y1', temporary=False).reason.startswith(
         'no sensor is left for the mode of real part 0 in angle')
-    two = Plant.from_matrices([[-1]], None, [[1]], [[1, 2]], disturbances=['wind', 'load'])
+    two = Plant.from_matrices([[-1]], None, [[1]], D=[[1, 2]], disturbances=['wind', 'load'])
     assert only(two, ('y1',), 'y1').reason == (
         'the unknown inputs wind and load act on it and no sensor is left to tell them apart')
 

@@ -14,7 +14,7 @@ CHAIN = np.array([[-1, 0, 0, 0], [1, -1, 0, 0], [0, 1, -1, 0], [0, 0, 0, -2.0]])
 
 
 def chain(**more):
-    return Plant.from_matrices(CHAIN, None, np.eye(4)[[1, 2]], [1, 0, 0, 0], **more)
+    return Plant.from_matrices(CHAIN, None, np.eye(4)[[1, 2]], D=[1, 0, 0, 0], **more)
 
 
 def test_a_chain_by_hand():
@@ -37,7 +37,7 @@ def test_pairs_of_a_chain_by_hand():
 
 
 def test_the_sensor_that_completes_the_state_comes_first_of_equals():
-    three = Plant.from_matrices(-np.eye(3), None, np.eye(3)[:2], np.eye(3)[:, :2])
+    three = Plant.from_matrices(-np.eye(3), None, np.eye(3)[:2], D=np.eye(3)[:, :2])
     found = locations(three, {'same': [1, 1, 0], 'new': [0, 0, 5.0], 'twice': [2, 0, 0]})
     # a second sensor of what y1 says lets y1 be lost; of x1 + x2 either one
     assert [f.name for f in found] == ['same', 'twice', 'new']
@@ -51,7 +51,7 @@ def test_the_sensor_that_completes_the_state_comes_first_of_equals():
 def test_only_states_that_are_not_measured_alone_are_candidates():
     C, Cd = np.eye(3), [[0.0], [1.0], [0.0]]
     C[2] = [1, 1, 1]
-    plant = Plant.from_matrices(-np.eye(3), None, C, [1, 0, 0], Cd=Cd)
+    plant = Plant.from_matrices(-np.eye(3), None, C, D=[1, 0, 0], Cd=Cd)
     assert {place.name for place in locations(plant)} == {'x2', 'x3'}
     assert locations(Plant.from_matrices(-np.eye(2), None, np.eye(2))) == ()
 
@@ -67,13 +67,13 @@ def plants(draw):
     A = sparse(n, n, 0.5) - draw(st.sampled_from([0, 4])) * np.eye(n)
     C = np.eye(n)[rng.permutation(n)[:outputs]] if draw(st.booleans()) else sparse(outputs, n, 0.5)
     Cd = sparse(outputs, d, 0.4) if draw(st.booleans()) else None
-    return Plant.from_matrices(A, None, C, sparse(n, d, 0.5), Cd=Cd)
+    return Plant.from_matrices(A, None, C, D=sparse(n, d, 0.5), Cd=Cd)
 
 
 def wider(plant, row):
     """Add the sensor for good."""
     return Plant.from_matrices(
-        plant.A, None, np.vstack([plant.C, row]), plant.D, sensors=(*plant.sensors, 'new'),
+        plant.A, None, np.vstack([plant.C, row]), D=plant.D, sensors=(*plant.sensors, 'new'),
         Cd=np.vstack([plant.Cd, np.zeros(plant.Cd.shape[1])]))
 
 

@@ -70,7 +70,7 @@ def test_a_crossing_at_infinity_does_not_hide_a_stable_interval():
     K[3, 3] = 1
     plant = Plant.from_matrices(
         np.block([[np.zeros((4, 4)), np.eye(4)], [-K, np.zeros((4, 4))]]), None,
-        np.eye(8)[[6, 1, 4]], np.eye(8)[:, 1], Cd=[[1], [0], [0]])
+        np.eye(8)[[6, 1, 4]], D=np.eye(8)[:, 1], Cd=[[1], [0], [0]])
     sensor = design(plant, wanted={'w': [-1, -1, 0, -1, -1, 0, 0, -1]}, prefer='least')[(), 'w']
     assert sensor.order == sensor.proof.lower == 3
 
@@ -187,7 +187,7 @@ def test_complex_fixed_modes_are_met_exactly():
     """Two masses on a spring: the hidden pair must be copied, and nothing else."""
     plant = Plant.from_matrices(
         [[0, 1, 0, 0], [-900, -.5, 900, .4], [0, 0, 0, 1], [45, .02, -45, -.03]], None,
-        np.eye(4)[[0, 2, 1]], np.eye(4)[:, 1])
+        np.eye(4)[[0, 2, 1]], D=np.eye(4)[:, 1])
     sensor = design(plant, [('y2',)], prefer='least')['y2', 'y2']
     assert sensor.order == sensor.proof.lower == 2
 
@@ -212,7 +212,7 @@ def test_units_do_not_decide_stability():
     unit = np.array([1e5, 1e-3, 1e5])
     for s in (np.ones(3), unit):
         plant = Plant.from_matrices(A * s[:, None] / s, None, np.eye(3)[[2, 0]] / s,
-                                    np.eye(3)[:, 0] * s)
+                                    D=np.eye(3)[:, 0] * s)
         assert design(plant, [('y1',)], prefer='least')['y1', 'y1'].order == 2
     light = Plant.from_matrices([[0, 1, 0, 0], [-1e6, -1e-4, 1, 0], [0, 0, -1, 0], [0, 0, 0, -2]],
                                 None, np.eye(4)[[2, 0]])
@@ -239,7 +239,7 @@ def test_several_rows_are_no_larger_than_single_observers_side_by_side():
 
 def test_a_functional_that_rho_moves_is_refused_beside_others():
     plant = Plant.from_matrices([[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3),
-                                [1, 0, 0])
+                                D=[1, 0, 0])
     result = design(plant, [('y1',)], wanted={'two': [[1, 0, 0], [0, 0, 1]]})
     assert isinstance(result[('y1',), 'two'], Refusal)
 
@@ -314,7 +314,7 @@ def test_sensors_may_read_commands_and_unknown_inputs(seed):
     B, D, C = rng.normal(size=(n, m)), rng.normal(size=(n, d)), rng.normal(size=(sensors, n))
     Cu = rng.normal(size=(sensors, m))
     Cd = rng.normal(size=(sensors, d)) * (rng.random((sensors, d)) < 0.4)
-    plant = Plant.from_matrices(A, B, C, D, 1.0, Cu=Cu, Cd=Cd)
+    plant = Plant.from_matrices(A, B, C, D=D, sample_time=1.0, Cu=Cu, Cd=Cd)
     for entry in design(plant).virtual_sensors:
         rows = [plant.sensors.index(s) for s in entry.healthy]
         own = plant.sensors.index(entry.channel)

@@ -31,7 +31,7 @@ def plants(draw):
         rng.normal(size=(outputs, n)))
     D = rng.normal(size=(n, disturbances)) if draw(st.booleans()) else (
         np.eye(n)[:, rng.permutation(n)[:disturbances]])
-    return Plant.from_matrices(A, rng.normal(size=(n, inputs)), C, D, sample_time)
+    return Plant.from_matrices(A, rng.normal(size=(n, inputs)), C, D=D, sample_time=sample_time)
 
 
 def polynomial_test(A, C0, V, D, k):
@@ -116,7 +116,7 @@ def test_the_error_forgets_its_start_whatever_the_disturbance(plant, seed):
     if plant.sample_time is None:
         h = 0.05 / (1 + np.linalg.norm(plant.A, 2))  # the equations hold for I + h A as well
         plant = Plant.from_matrices(np.eye(len(plant.A)) + h * plant.A, h * plant.B, plant.C,
-                                    h * plant.D, h)
+                                    D=h * plant.D, sample_time=h)
     rng = np.random.default_rng(seed)
     for entry in design(plant, temporary=False).virtual_sensors:
         C0 = plant.C[[plant.sensors.index(s) for s in entry.healthy]]

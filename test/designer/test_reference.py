@@ -31,7 +31,7 @@ def servo(k7: float = -1.0, sensors: tuple[int, ...] = (0, 1, 2)) -> Plant:
     """Return the servo of paper S (33) with k1 = k3 = k6 = 1, k2 = k4 = k5 = -1."""
     names = ['angle', 'velocity', 'current']
     return Plant.from_matrices(
-        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[list(sensors)], [1, 0, 0],
+        [[0, 1, 0], [0, -1, 1], [0, -1, -1]], [0, 0, 1], np.eye(3)[list(sensors)], D=[1, 0, 0],
         P=[0, k7, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'], states=names,
         sensors=[names[i] for i in sensors], inputs=['voltage'], disturbances=['rho'])
 
@@ -41,7 +41,7 @@ def discrete_tank() -> Plant:
     a = 0.1
     return Plant.from_matrices(
         [[1 - a, a, 0], [a, 1 - 2 * a, a], [0, a, 1 - 2 * a]], [[a, 0], [0, 2 * a], [0, 0]],
-        np.eye(3), [1, 0, 0], sample_time=1.0,
+        np.eye(3), D=[1, 0, 0], sample_time=1.0,
         P=[[a, 0, 0], [-a, a, 0], [0, -a, a]], G=[[1, -1, 0], [0, 1, -1], [0, 0, 1]],
         nonlinearities=['w1 - sqrt(w1)'] * 3)
 
@@ -129,7 +129,8 @@ def test_identification_form_of_order_three_and_its_correct_gain(tank_y1):
     N = A_star + J[:, [0]] @ Cv
     np.testing.assert_allclose(sorted_spectrum(np.linalg.eigvals(N)),
                                sorted_spectrum(paper['eig_N_without_K']), atol=1e-6)
-    candidate = Candidate(Phi, N, J[:, [1]], Cv, np.zeros((1, 1)))
+    candidate = Candidate(Phi, N, J[:, [1]] * tank_y1.y0_size, Cv / tank_y1.v_size,
+                          np.zeros((1, 1)))
     placed = next(papers.with_residual(tank_y1, candidate, np.array([-1.0, -2.0, -3.0])))
     gain = (candidate.N - placed.N)[:, 0]
     np.testing.assert_allclose(gain, paper['K_correct'], atol=1e-8)
@@ -185,7 +186,7 @@ def test_friction_of_a_measured_speed_is_kept_out():
 def test_friction_of_a_measured_speed_is_named_where_it_cannot_be_kept_out():
     """A spring behind dry friction: the force is seen through the speed's equation only."""
     plant = Plant.from_matrices(
-        [[-1, 1, 0], [0, 0, -1], [0, 0, -0.5]], [0, 0, 1], np.eye(3), [0, 1, 0],
+        [[-1, 1, 0], [0, 0, -1], [0, 0, -0.5]], [0, 0, 1], np.eye(3), D=[0, 1, 0],
         P=[-1, 0, 0], G=[[0, 1, 0]], nonlinearities=['sign(w1)'],
         states=['lag', 'speed', 'force'])
     sensor = design(plant)[('y1',), 'y1']
@@ -227,7 +228,7 @@ def test_output_that_contains_the_disturbance_may_be_used():
     plant = servo()
     C = np.vstack([plant.C[[0, 2]], plant.C[0] + plant.C[1]])
     summed = Plant.from_matrices(
-        plant.A, plant.B, C, plant.D, P=plant.P, G=plant.G, nonlinearities=['sign(w1)'])
+        plant.A, plant.B, C, D=plant.D, P=plant.P, G=plant.G, nonlinearities=['sign(w1)'])
     sensor = design(summed)[('y3',), 'y3']
     assert isinstance(sensor, VirtualSensor)
     assert sensor.Q[0, 0] == pytest.approx(1.0)
@@ -257,7 +258,7 @@ def test_unstable_hidden_mode_is_named():
 
 def test_unknown_argument_of_a_nonlinear_term_is_named():
     plant = Plant.from_matrices(
-        [[-1, 0], [0, -1]], None, np.eye(2), [0, 1], P=[1, 0], G=[[0, 1]],
+        [[-1, 0], [0, -1]], None, np.eye(2), D=[0, 1], P=[1, 0], G=[[0, 1]],
         nonlinearities=['sin(w1)'], states=['arm', 'load'])
     refusal = design(plant, [('y1', 'y2')])[('y1', 'y2'), 'y1']
     assert 'sin(load)' in refusal.reason

@@ -39,7 +39,7 @@ def test_nothing_takes_a_text_of_its_own_apart(room):
 
 
 def test_what_stands_in_the_way_is_known_by_code_and_facts():
-    chain = Plant.from_matrices([[-1, 0], [1, -1]], None, np.eye(2), [1, 0])
+    chain = Plant.from_matrices([[-1, 0], [1, -1]], None, np.eye(2), D=[1, 0])
     in_the_way = examine(pose(chain, ('y1', 'y2'), 'y1')).obstruction
     assert in_the_way.code == 'unknown inputs' and in_the_way.fact('names') == ('rho1',)
     assert in_the_way.fact('healthy') == ()
@@ -54,7 +54,7 @@ def test_what_stands_in_the_way_is_known_by_code_and_facts():
 
 def test_a_refusal_names_the_least_set_that_lost_the_channel():
     """Whatever order the sets are given in, and however long the way from one to the next is."""
-    plant = Plant.from_matrices(-np.eye(4), None, np.eye(4), [1, 0, 0, 0])
+    plant = Plant.from_matrices(-np.eye(4), None, np.eye(4), D=[1, 0, 0, 0])
     made = design(plant, up_to=3)
     alone = made['y1', 'y1'].reason
     for fault_set in (('y1', 'y2'), ('y1', 'y2', 'y4')):

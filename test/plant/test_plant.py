@@ -22,7 +22,7 @@ def tank(**more):
 
 
 def test_default_names():
-    plant = Plant.from_matrices(A, B, C, [1, 0, 0])
+    plant = Plant.from_matrices(A, B, C, D=[1, 0, 0])
     assert plant.states == ('x1', 'x2', 'x3')
     assert plant.inputs == ('u1', 'u2')
     assert plant.sensors == ('y1', 'y2')
@@ -55,7 +55,7 @@ def test_rate_of_change_of_the_papers_tank():
 
 
 def test_rate_of_change_with_a_disturbance_and_terms_without_arguments():
-    plant = Plant.from_matrices([[0.0]], None, [[1.0]], [[2.0]], P=[[3.0]], G=[[]],
+    plant = Plant.from_matrices([[0.0]], None, [[1.0]], D=[[2.0]], P=[[3.0]], G=[[]],
                                 nonlinearities=['1'])
     assert plant.inputs == () and plant.terms[0].name == 'constant'
     assert plant.rate_of_change([5.0], None) == [3.0]
@@ -64,7 +64,7 @@ def test_rate_of_change_with_a_disturbance_and_terms_without_arguments():
 
 
 def test_flat_columns_and_rows():
-    plant = Plant.from_matrices(A, [1, 0, 0], [0, 1, 0], [1, 0, 0], P=[0, 1, 0], G=[0, 1, 0],
+    plant = Plant.from_matrices(A, [1, 0, 0], [0, 1, 0], D=[1, 0, 0], P=[0, 1, 0], G=[0, 1, 0],
                                 nonlinearities=['sign(w1)'])
     assert plant.B.shape == plant.D.shape == plant.P.shape == (3, 1)
     assert plant.C.shape == plant.G[0].shape == (1, 3)
@@ -73,9 +73,9 @@ def test_flat_columns_and_rows():
 
 def test_what_sensors_read_directly_may_be_flat():
     # an accelerometer: one row over the inputs, one column over the sensors
-    one = Plant.from_matrices(A, B, [0, 1, 0], [1, 0, 0], Cu=[3, 4], Cd=[5])
+    one = Plant.from_matrices(A, B, [0, 1, 0], D=[1, 0, 0], Cu=[3, 4], Cd=[5])
     assert one.Cu.tolist() == [[3, 4]] and one.Cd.tolist() == [[5]]
-    two = Plant.from_matrices(A, [1, 0, 0], C, [1, 0, 0], Cu=[3, 4], Cd=[[5], [6]])
+    two = Plant.from_matrices(A, [1, 0, 0], C, D=[1, 0, 0], Cu=[3, 4], Cd=[[5], [6]])
     assert two.Cu.tolist() == [[3], [4]] and two.Cd.tolist() == [[5], [6]]
     none = Plant.from_matrices(A, None, C, Cu=np.zeros((2, 0)))
     assert none.Cu.shape == (2, 0) == none.Cd.shape
@@ -229,3 +229,10 @@ def test_bad_arrays_give_one_line(change, needle):
 
 def test_a_sensor_may_be_called_as_a_state():
     assert tank(sensors=('x2', 'x3')).sensors == ('x2', 'x3')
+
+
+@pytest.mark.parametrize('more', [([[0.0], [0.5]],), (None, 0.1)])
+def test_a_fourth_argument_is_asked_for_its_name(more):
+    """Control packages take the feedthrough there; here it would be an unknown input."""
+    with pytest.raises(BadInput, match='feedthrough is Cu=, unknown inputs are D='):
+        Plant.from_matrices([[0, 1], [-2, -3]], [0, 1], np.eye(2), *more)

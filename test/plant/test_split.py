@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.functions.affine import affine
 from vsensor_ros.functions.expression import Apply, compile_expression, Name, negate, Number, parse
 from vsensor_ros.functions.nonlinearity import evaluate, set_valued
-from vsensor_ros.plant.split import affine, check_split, Split, split_equations, with_addends
+from vsensor_ros.plant.split import check_split, Split, split_equations, with_addends
 
 RELAXED = settings(deadline=None, suppress_health_check=[
     HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large])

@@ -163,7 +163,7 @@ def test_what_the_plant_is(discrete):
     assert shown.fact('', 'nonlinear terms') == ', '.join(t.name for t in plant.terms)
     assert ['y2 [m]', 'level2', 'not given'] in shown.rows_of('')
     assert 'one step each 1 s' in shown.fact('', 'time')
-    direct = Plant.from_matrices(-np.eye(2), [1, 0], [[1, 0], [0, 2.5]], [1, 0],
+    direct = Plant.from_matrices(-np.eye(2), [1, 0], [[1, 0], [0, 2.5]], D=[1, 0],
                                  Cu=[[-1.0], [0]], Cd=[[0], [3.0]], noise=[0.25, np.nan])
     shown = Page(page(direct, design(direct)))
     assert ['y1', 'x1 - u1', '0.25'] in [cells for _, cells in shown.rows]
@@ -201,7 +201,7 @@ HOSTILE = ['<script>alert(1)</script>', '"><img src=x onerror=alert(1)>', '&amp;
 @pytest.fixture(scope='module')
 def plain():
     """Make a plant whose texts are harmless, its design, and what its report shows of y2."""
-    plant = Plant.from_matrices([[-1.0, 1], [0, -2]], [0, 1], np.eye(2), [1, 0])
+    plant = Plant.from_matrices([[-1.0, 1], [0, -2]], [0, 1], np.eye(2), D=[1, 0])
     result = design(plant)
     runs = {run.__name__: run(plant, result, result['y2', 'y2'])
             for run in (report_simulation.from_wrong_start, report_simulation.disturbed)}
@@ -318,13 +318,13 @@ def test_pictures_only_of_the_first_ones_and_the_same_each_time(discrete, monkey
 
 def test_places_and_pairs(without_pictures):
     plant = Plant.from_matrices(
-        [[-1, 0, 0], [1, -1, 0], [0, 1, -1]], None, np.eye(3)[[1, 2]], [1, 0, 0])
+        [[-1, 0, 0], [1, -1, 0], [0, 1, -1]], None, np.eye(3)[[1, 2]], D=[1, 0, 0])
     result = design(plant, up_to=2)
     shown = Page(page(plant, result, locations(plant, up_to=2)))
     assert any(cells == ['x1', 'would let you lose y1 and replace y2 when y1+y2 failed '
                          '(1 more in larger sets)', '3', '3 of 3'] for _, cells in shown.rows)
     assert 'Not looked at' in Page(page(plant, result)).text
-    three = Plant.from_matrices(-np.eye(3), None, np.eye(3), [1, 0, 0])
+    three = Plant.from_matrices(-np.eye(3), None, np.eye(3), D=[1, 0, 0])
     shown = Page(page(three, design(three, up_to=2)))
     rows = [cells for _, cells in shown.rows]
     assert ['y1', 'no'] in [r[:2] for r in rows] and ['y2', 'no', 'yes'] in rows

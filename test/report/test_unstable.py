@@ -66,7 +66,7 @@ def test_an_unstable_plant_is_held(tmp_path, monkeypatch, torque):
 
 
 def test_a_discrete_plant_is_held():
-    plant = Plant.from_matrices([[1.1, 0.1], [0, 0.8]], [[0], [1.0]], np.eye(2), [0, 1],
+    plant = Plant.from_matrices([[1.1, 0.1], [0, 0.8]], [[0], [1.0]], np.eye(2), D=[0, 1],
                                 sample_time=0.1)
     result = design(plant, [('y2',)], bounded=True)
     run = from_wrong_start(plant, result, result['y2', 'y2'])

@@ -45,7 +45,7 @@ def test_inputs_are_held_between_their_times():
 
 def test_an_accelerometer_reads_the_force_and_the_unknown_one():
     # a mass on a spring, v' = -4 p + 2 u + rho, is measured as it is; from rest, u = rho = 1
-    plant = Plant.from_matrices([[0, 1], [-4, 0]], [0, 2], [[-4, 0], [1, 0]], [0, 1],
+    plant = Plant.from_matrices([[0, 1], [-4, 0]], [0, 2], [[-4, 0], [1, 0]], D=[0, 1],
                                 Cu=[[2], [0]], Cd=[[1], [0]])
     t = np.linspace(0.0, 3.0, 31)
     x = simulate(plant, t, np.ones((31, 1)), lambda t: [1.0])

@@ -41,6 +41,7 @@ QUIETED_ORDER = 60  # in plants of so few states
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
 MOST_SPACES = 8  # invariant spaces tried
 LARGEST_CLOSED = 100  # in plants of so many states
+SHIFTS = 5  # bisections, for a filter that decays as asked and no faster
 TRIES = 8  # random members of a family, where arguments must be known
 
 
@@ -137,7 +138,7 @@ def of_family(ground: Ground, family: Family) -> list[JudgedCandidate]:
     if k > MOST_MODES:
         return []
     fixed = fixed_roots(family)
-    if f + len(fixed) == k and not repeated(fixed):
+    if f + len(fixed) == k and not repeated(fixed, ground.known.still):
         if decay_of(fixed, ground.noise.sample_time) <= margin(
                 family, ground.noise.sample_time):
             return []
@@ -152,13 +153,14 @@ def of_family(ground: Ground, family: Family) -> list[JudgedCandidate]:
 def of_spectra(ground: Ground, spectra: Iterable[np.ndarray]) -> list[JudgedCandidate]:
     """Return the quietest virtual sensor of one functional for each spectrum."""
     return _varied(ground, [with_spectrum(ground.known, ground.noise, s) for s in spectra
-                            if not repeated(s)])
+                            if not repeated(s, ground.known.still)])
 
 
 def _with_member(ground: Ground, family: Family, theta: np.ndarray) -> Solutions | None:
     roots = family.roots(theta)
-    solved = None if repeated(roots) else with_spectrum(ground.known, ground.noise, roots)
-    return solved or with_polynomial(ground.known, ground.noise, family.member(theta))
+    known, noise = ground.known, ground.noise
+    solved = None if repeated(roots, known.still) else with_spectrum(known, noise, roots)
+    return solved or with_polynomial(known, noise, family.member(theta))
 
 
 def _varied(ground: Ground, spectra: Iterable[Solutions | None]) -> list[JudgedCandidate]:
@@ -215,17 +217,30 @@ def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None],
         np.vstack([p.Q for p in parts]))], 'single observers side by side')
 
 
-def filters(ground: Ground) -> list[JudgedCandidate]:
-    """Return the Kalman filter, and the quietest that decays as wanted."""
-    found: list[JudgedCandidate] = []
-    for filter_ in (ground.filter, None):
-        if filter_ is None:
-            if found and found[0].decay >= ground.decay:
-                break
-            filter_ = kalman(ground.known, ground.noise, ground.decay)
-        if filter_ is not None:
-            found += judged(ground, [invariant_spaces.filter_candidate(
-                ground.known, filter_, ground.terms)], 'filter')
+def filters(ground: Ground, asked: bool = False) -> list[JudgedCandidate]:
+    """
+    Return the Kalman filter, and the quietest filters that decay as wanted.
+
+    ``asked``: the rate was asked for, so that it is to be met at the least noise.
+    """
+    def shifted(shift: float) -> list[JudgedCandidate]:
+        found = ground.filter if shift == 0 else kalman(ground.known, ground.noise, shift)
+        return [] if found is None else judged(ground, [invariant_spaces.filter_candidate(
+            ground.known, found, ground.terms)], 'filter')
+
+    found = shifted(0.0)
+    if found and found[0].decay >= ground.decay:
+        return found
+    found += shifted(ground.decay)
+    # a mode that is slower than the shift is mirrored at it: that is more than is wanted
+    low, high = 0.0, ground.decay
+    for _ in range(SHIFTS if asked else 0):
+        middle = 0.5 * (low + high)
+        tried = shifted(middle)
+        if tried and tried[0].decay >= ground.decay:
+            found, high = found + tried, middle
+        else:
+            low = middle
     return found
 
 
@@ -243,7 +258,7 @@ def _quieted(ground: Ground, family: Family, members: list[np.ndarray]) -> np.nd
 
     start = min(members, key=cost)
     steps = np.eye(len(start)) * 0.1 * max(float(np.linalg.norm(start)),
-                                           0.1 * float(np.linalg.norm(family.M, 2)))
+                                           0.1 * family.size)
     found = minimize(cost, start, method='Nelder-Mead', options={
         'initial_simplex': np.vstack([start, start + steps]), 'maxfev': 40 * (1 + len(start)),
         'fatol': 1e-2, 'xatol': 1e-6})
@@ -265,16 +280,18 @@ def _templates(ground: Ground, count: int) -> list[np.ndarray]:
         if np.linalg.cond(right) < 1e12:
             weight = np.abs(ground.known.v[0] @ right) * np.linalg.norm(
                 np.linalg.solve(right, ground.noise.drives(ground.known)[0]), axis=1)
-            spectra += _dominant(values, weight, count)
+            spectra += _dominant(values, weight, count, ground.known.still)
     return spectra
 
 
-def _dominant(values: np.ndarray, weight: np.ndarray, count: int) -> list[np.ndarray]:
+def _dominant(values: np.ndarray, weight: np.ndarray, count: int,
+              still: float) -> list[np.ndarray]:
     """Return the ``count`` eigenvalues of most weight, pairs kept together, if that works out."""
     chosen: list[complex] = []
     for i in np.argsort(-weight):
         value = complex(values[i])
-        if value.imag < 0 or any(abs(value - c) < 1e-3 * abs(value) for c in chosen):
+        if value.imag < 0 or any(abs(value - c) < 1e-3 * abs(value - still)
+                                 for c in chosen):
             continue
         pair = [value] if value.imag == 0 else [value, value.conjugate()]
         if len(chosen) + len(pair) <= count:

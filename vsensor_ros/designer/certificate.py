@@ -14,27 +14,43 @@ into the inequalities in plain floating point, with a margin for rounding.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov, solve_triangular
+from scipy.linalg import solve_triangular
 
-from vsensor_ros.designer.error_system import decay_rate, ErrorSystem, Slopes
-from vsensor_ros.designer.form_search import LARGEST_ORDER, lyapunov, search
+from vsensor_ros.designer.error_in_box import (
+    Bounds,
+    error_system,
+    feeding_terms,
+    image,
+    INFINITE_SLOPE,
+    joint_system,
+    slope_bounds,
+    used_inputs,
+    used_states,
+)
+from vsensor_ros.designer.error_system import decay_rate, ErrorSystem
+from vsensor_ros.designer.form_search import hopeless, LARGEST_ORDER, lyapunov, search
+from vsensor_ros.designer.lipschitz import lipschitz
+from vsensor_ros.designer.natural_size import reaches
 from vsensor_ros.designer.peak_to_peak import peak_bound
-from vsensor_ros.designer.quadratic_form import Form, MOST_CORNERS, ROUNDING
-from vsensor_ros.designer.slopes import jumps, slope_bounds_on
+from vsensor_ros.designer.quadratic_form import Form
+from vsensor_ros.designer.slopes import jumps
 from vsensor_ros.designer.stability import lasting
-from vsensor_ros.functions.expression import names, parse
-from vsensor_ros.functions.interval import Interval
+from vsensor_ros.designer.uncovered import uncovered
 from vsensor_ros.observers import Certificate, Limit, VirtualSensor
-from vsensor_ros.observers.kinds.functional import argument_name
+from vsensor_ros.observers.kinds.functional import short_name, sum_place, together
 from vsensor_ros.plant.plant import Plant
 
-INFINITE_SLOPE = 1e100
-REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # of boxes, in operating points
+# of boxes, in operating points
+REACHES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01)
 WORTHWHILE = 0.2  # of the linearisation's rate: a larger box is taken down to this rate
+LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
+ROOM = 1.1  # frozen slopes must leave so much more, or a form is not looked for
+MOST_TRIED = 4  # virtual sensors in one box
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
+Box = tuple[np.ndarray, np.ndarray]  # of states (n, 2) and inputs (m, 2)
 
 
 def certify(plant: Plant, sensor: VirtualSensor) -> Certificate:
@@ -53,79 +69,141 @@ def certify(plant: Plant, sensor: VirtualSensor) -> Certificate:
     Needs cvxpy and clarabel for two or more states with nonlinear terms; the reason says so
     where they are missing.
     """
+    try:
+        found = everywhere(plant, sensor) or on_ranges(plant, sensor)
+        near = None if found else near_the_point(plant, [sensor])
+        return found or (near[1] if near else nowhere(plant, sensor))
+    except ImportError:
+        return nowhere(plant, sensor, MISSING)
+
+
+def everywhere(plant: Plant, sensor: VirtualSensor) -> Certificate | None:
+    """Prove it wherever plant and estimate are; None: not proved. Raises as ``certify`` says."""
     if not len(sensor.N):
         return Certificate('global', np.inf, _largest_row_sum(sensor.Q), np.zeros((0, 0)), (),
                            (0.0, np.inf), 'it has no state: what the readings say is said at once')
-    everywhere = _unlimited(plant)
-    bounds = _slope_bounds(plant, sensor, *everywhere)
-    error = _error(sensor, bounds)
-    if not _feeding_terms(sensor):
+    bounds = slope_bounds(plant, sensor, *_unlimited(plant))
+    error = error_system(sensor, bounds)
+    if not feeding_terms(sensor):
         return _linear(plant, sensor, error)
-    runaway = _runaway(sensor, bounds)
-    if runaway:
-        return _none(sensor, bounds, runaway)
-    try:
-        form = search(error)
-        if form is not None:
-            return _certificate('global', form, sensor, bounds, (), _said(
-                sensor, 'one quadratic form of the error falls for every slope that '
-                f'{_listed(_term_names(sensor))} can have anywhere'))
-        return _in_a_region(plant, sensor)
-    except ImportError:
-        return _none(sensor, bounds, MISSING)
+    if _runaway(sensor, bounds):
+        return None
+    form = search(error, LEAST * _rate_here(plant, sensor))
+    return None if form is None else _certificate('global', form, sensor, bounds, (), _said(
+        sensor, 'one quadratic form of the error falls for every slope that '
+        f'{_listed(_term_names(sensor))} can have anywhere'))
 
 
-def _in_a_region(plant: Plant, sensor: VirtualSensor) -> Certificate:
-    """Confine the arguments to the plant's ranges, else to boxes about the operating point."""
-    ranges, input_range = plant.ranges, plant.input_range
-    used = np.any([np.abs(plant.G[i]).sum(axis=0) > 0 for i in _feeding_terms(sensor)], axis=0)
-    known = bool(np.isfinite(ranges[used]).any()
-                 or np.isfinite(input_range[_used_inputs(sensor)]).any())
-    found: tuple[Form, np.ndarray, np.ndarray] | None = None
-    if known:
-        form = search(_error(sensor, _slope_bounds(plant, sensor, ranges, input_range)))
-        if form is not None:
-            found = form, ranges, input_range
-    if found is None:
-        here = _error(sensor, _slope_bounds(plant, sensor, *_box(plant, 1e-6)))
-        wanted = WORTHWHILE * decay_rate(here.N, sensor.sample_time)
-        for reach in REACHES if wanted > 0.0 else ():
-            states, inputs = _box(plant, reach)
-            form = search(_error(sensor, _slope_bounds(plant, sensor, states, inputs)), wanted)
-            if form is not None:
-                found = form, states, inputs
-                break
-    if found is None:
-        place = 'in the given ranges' if known else 'near the operating point'
-        tight = _slope_bounds(plant, sensor, ranges if known else _box(plant, REACHES[-1])[0],
-                              input_range if known else _box(plant, REACHES[-1])[1])
-        return _none(sensor, tight, _obstacle(sensor, tight, place))
-    form, states, inputs = found
-    region = _region(plant, sensor, states, inputs)
-    return _certificate(
-        'region', form, sensor, _slope_bounds(plant, sensor, states, inputs),
-        tuple(limit for _, limit in region),
-        _said(sensor, 'it holds only while plant and estimate both keep '
-              + _listed([f'{name} in [{at.low:.4g}, {at.high:.4g}]' for name, at in region
-                         if np.isfinite((at.low, at.high)).any()])))
+def on_ranges(plant: Plant, sensor: VirtualSensor, share: float = 0.0) -> Certificate | None:
+    """
+    Prove it in the ranges that the plant gives; None: not proved, or there are none.
+
+    share: of the linearisation's rate, that is to be proved at least.
+    """
+    if not _ranged(plant, sensor) or _runs_away(plant, sensor):
+        return None
+    box = plant.ranges, plant.input_range
+    form = _form_in(plant, sensor, box, max(share, LEAST) * _rate_here(plant, sensor))
+    return None if form is None else _in_region(plant, sensor, form, box)
 
 
-def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certificate:
-    """Certify an error that no nonlinear term feeds: by its spectrum, without a solver."""
-    values, stays = lasting(error.N, error.sample_time)
-    bounds = _slope_bounds(plant, sensor, *_unlimited(plant))
-    if stays.any():
-        worst = values[stays][0]
-        return _none(sensor, bounds, 'the linear error does not die out for certain '
-                     f'(eigenvalue {_shown(worst)})')
-    proved = lyapunov(error)
-    if proved is None:
-        return _none(sensor, bounds, 'the eigenvalues are stable, but so sensitive to rounding '
+def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
+        VirtualSensor, Certificate] | None:
+    """
+    Prove it of one of these sensors in a box about the operating point; None: of none.
+
+    The largest box counts that leaves a worthwhile rate, of those alike the first sensor.
+    """
+    wanted = [(sensor, WORTHWHILE * _rate_here(plant, sensor)) for sensor in sensors
+              if feeding_terms(sensor) and not _runs_away(plant, sensor)]
+    boxes = [_box(plant, reach) for reach in REACHES]
+    for box, larger in zip(boxes, [(plant.ranges, plant.input_range), *boxes]):
+        if all(map(np.array_equal, box, larger)):
+            continue
+        tried = 0
+        for sensor, rate in wanted:
+            if rate > 0.0 and tried < MOST_TRIED and promising(plant, sensor, box, rate):
+                form = _form_in(plant, sensor, box, rate)
+                if form is not None:
+                    return sensor, _in_region(plant, sensor, form, box)
+                tried += 1
+    return None
+
+
+def nowhere(plant: Plant, sensor: VirtualSensor, reason: str = '') -> Certificate:
+    """Say why nothing is proved."""
+    if not feeding_terms(sensor):
+        bounds = slope_bounds(plant, sensor, *_unlimited(plant))
+        values, stays = lasting(sensor.N, sensor.sample_time)
+        return _none(sensor, bounds, 'the linear error does not die out for certain (eigenvalue '
+                     f'{_shown(values[stays][0])})' if stays.any() else
+                     'the eigenvalues are stable, but so sensitive to rounding '
                      'that no quadratic form proves it')
+    ranged = _ranged(plant, sensor)
+    reason = reason or _runs_away(plant, sensor)
+    box = (_unlimited(plant) if reason else (plant.ranges, plant.input_range) if ranged
+           else _box(plant, REACHES[-1]))
+    bounds = slope_bounds(plant, sensor, *box)
+    place = 'in the given ranges' if ranged else 'near the operating point'
+    return _none(sensor, bounds, reason or _obstacle(plant, sensor, bounds, box, place),
+                 uncovered(plant, sensor, None))
+
+
+def promising(plant: Plant, sensor: VirtualSensor, box: Box | None, rate: float = 0.0) -> bool:
+    """Tell at little cost whether a rate may be proved in a box, None: everywhere."""
+    box = box or _unlimited(plant)
+    bounds = slope_bounds(plant, sensor, *box)
+    return not feeding_terms(sensor) or not _runs_away(plant, sensor) and not hopeless(
+        joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds), ROOM * rate)
+
+
+def _rate_here(plant: Plant, sensor: VirtualSensor) -> float:
+    here = error_system(sensor, slope_bounds(plant, sensor, *_box(plant, 1e-6)))
+    return decay_rate(here.N, sensor.sample_time)
+
+
+def _form_in(plant: Plant, sensor: VirtualSensor, box: Box, wanted: float = 0.0) -> Form | None:
+    """Search for a form in a box: with each slope for itself, else with all together."""
+    bounds = slope_bounds(plant, sensor, *box)
+    apart, joint = error_system(sensor, bounds), joint_system(plant, sensor, bounds, *box)
+    if joint is not None and hopeless(joint, wanted):
+        return None
+    form = search(apart, wanted)
+    return search(joint, wanted) if form is None and joint is not None else form
+
+
+def _in_region(plant: Plant, sensor: VirtualSensor, form: Form, box: Box) -> Certificate:
+    bounds, region = slope_bounds(plant, sensor, *box), _region(plant, sensor, *box)
+    where = together((plant.inputs[j], low, high) if i is None else sum_place(
+        {name: float(factor) for name, factor in zip(plant.states, plant.G[i][j]) if factor},
+        low, high) for i, j, low, high in region)
+    keeps = [f'{name} in [{low:.4g}, {high:.4g}] {plant.units.get(name, "")}'.rstrip()
+             for name, low, high in where]
+    return replace(_certificate('region', form, sensor, bounds, region, _said(
+        sensor, f'it holds only while plant and estimate both keep {_listed(keeps)}')),
+        uncovered=uncovered(plant, sensor, box), where=where)
+
+
+def _ranged(plant: Plant, sensor: VirtualSensor) -> bool:
+    # whether the plant gives a range of what its feeding terms hold
+    return bool(np.isfinite(plant.ranges[used_states(plant, sensor)]).any()
+                or np.isfinite(plant.input_range[used_inputs(sensor)]).any())
+
+
+def _runs_away(plant: Plant, sensor: VirtualSensor) -> str:
+    return _runaway(sensor, slope_bounds(plant, sensor, *_unlimited(plant)))
+
+
+def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certificate | None:
+    """Certify an error that no nonlinear term feeds: by its spectrum, without a solver."""
+    bounds = slope_bounds(plant, sensor, *_unlimited(plant))
+    proved = None if lasting(error.N, error.sample_time)[1].any() else lyapunov(error)
+    if proved is None:
+        return None
     reason = 'its error is linear and dies out from every start'
     measured = [i for i in sensor.active if np.any(sensor.Gy[i])]
     if len(error.loose.p.T) or len(error.rising.p.T):
-        near = _error(sensor, _slope_bounds(plant, sensor, plant.ranges, plant.input_range))
+        near = error_system(sensor, slope_bounds(plant, sensor, plant.ranges, plant.input_range))
         if len(near.loose.p.T) or len(near.rising.p.T):
             reason += (f'; no bound for errors of the readings is known: the slope of '
                        f'{_listed([sensor.terms[i].name for i in measured])} has none')
@@ -136,7 +214,7 @@ def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certific
     return _certificate('global', form, sensor, bounds, (), _said(sensor, reason))
 
 
-# ------------------------------------------------------------------------- the error system
+# ------------------------------------------------------------------------------- the boxes
 
 def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
     # boxes of states (n, 2) and inputs (m, 2) that say nothing
@@ -145,138 +223,39 @@ def _unlimited(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(plant: Plant, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Surround the operating point by so many times its own size, within the ranges."""
-    def around(point: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-        size = np.abs(point)
-        typical = size.max(initial=0.0) or 1.0
-        size = np.where(size > 0.0, size, typical)
+    """Surround the operating point, each state by so many times its own reach, in the ranges."""
+    def around(point: np.ndarray, ranges: np.ndarray, size: np.ndarray) -> np.ndarray:
         low = np.maximum(point - reach * size, ranges[:, 0])
         high = np.minimum(point + reach * size, ranges[:, 1])
         outside = low > high  # the operating point lies outside of the ranges
         return np.where(outside[:, None], ranges, np.stack([low, high], axis=1))
 
-    return (around(plant.operating_point, plant.ranges),
-            around(plant.operating_input, plant.input_range))
+    states, inputs = reaches(plant)
+    return (around(plant.operating_point, plant.ranges, states),
+            around(plant.operating_input, plant.input_range, inputs))
 
 
-def _image(rows: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return the box (r, 2) in which rows @ x lies for x in a box (n, 2)."""
-    low, high = box[:, 0], box[:, 1]
-    with np.errstate(invalid='ignore'):
-        down = np.where(rows > 0, rows * low, np.where(rows < 0, rows * high, 0.0))
-        up = np.where(rows > 0, rows * high, np.where(rows < 0, rows * low, 0.0))
-    return np.stack([down.sum(axis=1), up.sum(axis=1)], axis=1)
+# ------------------------------------------------------------------------------- the words
 
-
-def _slope_bounds(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
-                  inputs: np.ndarray) -> dict[int, tuple[Interval, ...]]:
-    """Bound the slopes of every active term over a box of states and inputs."""
-    return {i: slope_bounds_on(sensor.terms[i], _image(plant.G[i], states), sensor.inputs, inputs)
-            for i in sensor.active}
-
-
-def _feeding_terms(sensor: VirtualSensor) -> list[int]:
-    # active terms that see the estimate itself
-    return [i for i in sensor.active if np.any(sensor.Gz[i])]
-
-
-def _used_inputs(sensor: VirtualSensor) -> list[int]:
-    # indices of the inputs that these terms hold
-    used = {name for i in _feeding_terms(sensor) for name in names(parse(sensor.terms[i].text))}
-    return [j for j, name in enumerate(sensor.inputs) if name in used]
-
-
-def _error(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]]) -> ErrorSystem:
-    N, J = np.array(sensor.N, dtype=float), np.array(sensor.J, dtype=float)
-    groups: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray, float]]] = {
-        'bounded': [], 'rising': [], 'loose': []}
-    for i, slopes in bounds.items():
-        for j, (low, high) in enumerate(slopes):
-            p, g, h = sensor.P[:, i], sensor.Gz[i][j], sensor.Gy[i][j]
-            if not (g.any() or h.any()):
-                continue
-            sinks, climbs = low < -INFINITE_SLOPE, high > INFINITE_SLOPE
-            if sinks and climbs:
-                groups['loose'].append((p, g, h, np.inf))
-                continue
-            if sinks:
-                p, centre, radius = -p, -high, np.inf
-            elif climbs:
-                centre, radius = low, np.inf
-            else:
-                centre, radius = 0.5 * (low + high), 0.5 * (high - low)
-                if radius <= ROUNDING * abs(centre):
-                    radius = 0.0
-            N += centre * np.outer(p, g)
-            J += centre * np.outer(p, h)
-            if radius:
-                groups['bounded' if np.isfinite(radius) else 'rising'].append((p, g, h, radius))
-    k, l0 = N.shape[0], J.shape[1]
-    made = {name: Slopes(np.array([p for p, *_ in some]).reshape(len(some), k).T,
-                          np.array([g for _, g, _, _ in some]).reshape(len(some), k),
-                          np.array([h for _, _, h, _ in some]).reshape(len(some), l0),
-                          np.array([r for *_, r in some]))
-            for name, some in groups.items()}
-    return ErrorSystem(N, J, sensor.Cv, sensor.Q, **made, sample_time=sensor.sample_time)
-
-
-# ------------------------------------------------------------- the papers' condition, the words
-
-def _lipschitz(sensor: VirtualSensor,
-               bounds: dict[int, tuple[Interval, ...]]) -> tuple[float, float] | None:
-    """
-    Return (M_*, lambda_min(W) / (2 lambda_max(X))) with N' X + X N = -W, W = I.
-
-    M_* is the Lipschitz constant, by z, of the sum of P_i psi_i. For a discrete plant, where
-    the papers give no formula, the right side is the M that keeps V = e' X e from rising:
-    lambda_max(X) M^2 + 2 |N' X| M = 1. None where a term has no Lipschitz constant or N is not
-    stable.
-    """
-    parts = [(np.outer(sensor.P[:, i], row), low, high)
-             for i in _feeding_terms(sensor)
-             for row, (low, high) in zip(sensor.Gz[i], bounds[i]) if row.any()]
-    if any(max(-low, high) > INFINITE_SLOPE for _, low, high in parts):
-        return None
-    if lasting(sensor.N, sensor.sample_time)[1].any():
-        return None
-    if len(parts) <= MOST_CORNERS:
-        left = max(float(np.linalg.norm(sum((s * M for s, (M, _, _) in zip(ends, parts)),
-                                            np.zeros_like(sensor.N)), 2))
-                   for ends in product(*((low, high) for _, low, high in parts)))
-    else:
-        left = float(sum(max(-low, high) * np.linalg.norm(M, 2) for M, low, high in parts))
-    identity = np.eye(len(sensor.N))
-    try:
-        if sensor.sample_time is None:
-            X = solve_continuous_lyapunov(sensor.N.T, -identity)
-            right = 0.5 / np.linalg.eigvalsh(0.5 * (X + X.T))[-1]
-        else:
-            X = solve_discrete_lyapunov(sensor.N.T, identity)
-            a, b = np.linalg.eigvalsh(0.5 * (X + X.T))[-1], np.linalg.norm(sensor.N.T @ X, 2)
-            right = 1.0 / (b + np.sqrt(b * b + a))
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    return left, max(float(right), 0.0)
-
-
-def _runaway(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]]) -> str:
+def _runaway(sensor: VirtualSensor, bounds: Bounds) -> str:
     """Name a term with a jump that pushes its own argument away from the jump, or ''."""
-    for i in _feeding_terms(sensor):
+    for i in feeding_terms(sensor):
         for row, (low, high) in zip(sensor.Gz[i], bounds[i]):
             push = float(row @ sensor.P[:, i])
             if sensor.sample_time is None and jumps(sensor.terms[i]) and (
                     high > INFINITE_SLOPE and push > 0 or low < -INFINITE_SLOPE and push < 0):
-                return (f'{sensor.terms[i].name} drives its own argument away from zero: '
+                name = short_name(i, sensor.terms[i].name)
+                return (f'{name} drives its own argument away from zero: '
                         'two branches can stay apart')
     return ''
 
 
-def _obstacle(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]],
+def _obstacle(plant: Plant, sensor: VirtualSensor, bounds: Bounds, box: Box,
               place: str) -> str:
     """Say in one clause why no form was found."""
     for i, slopes in bounds.items():
         for row, (low, high) in zip(sensor.Gz[i], slopes):
-            name = sensor.terms[i].name
+            name = short_name(i, sensor.terms[i].name)
             steep = high > INFINITE_SLOPE, low < -INFINITE_SLOPE
             if row.any() and all(steep):
                 return f'the slope of {name} has no bound {place}'
@@ -288,9 +267,9 @@ def _obstacle(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]],
                 if push >= 0:
                     return (f'{name} is infinitely steep {place} and does not pull its argument '
                             'back')
-    terms, error = _listed(_term_names(sensor)), _error(sensor, bounds)
-    if len(error.bounded.feeding.radius) <= MOST_CORNERS \
-            and min(decay_rate(A, sensor.sample_time) for A in error.corners()) <= 0:
+    terms = _listed(_term_names(sensor))
+    error = joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds)
+    if error.cornered and min(decay_rate(A, sensor.sample_time) for A in error.corners()) <= 0:
         return f'with slopes that {terms} can have {place} the error does not die out'
     if len(sensor.N) > LARGEST_ORDER:
         return f'more than {LARGEST_ORDER} states: only a coarser test was made, and it failed'
@@ -298,35 +277,29 @@ def _obstacle(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]],
 
 
 def _region(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
-            inputs: np.ndarray) -> tuple[tuple[str, Limit], ...]:
+            inputs: np.ndarray) -> tuple[Limit, ...]:
     """List the boxes of the arguments, and of the inputs where those are confined too."""
-    found: dict[bytes | str, tuple[str, Limit]] = {}  # equal arguments once
-    for i in _feeding_terms(sensor):
-        for j, (row, (low, high)) in enumerate(zip(plant.G[i], _image(plant.G[i], states))):
-            found.setdefault((row + 0.0).tobytes(), (
-                argument_name(sensor.terms[i], j), Limit(i, j, float(low), float(high))))
-    for j in _used_inputs(sensor):
-        if np.isfinite(inputs[j]).any():
-            low, high = map(float, inputs[j])
-            found[plant.inputs[j]] = plant.inputs[j], Limit(None, j, low, high)
-    return tuple(found.values())
+    found: dict[bytes, Limit] = {}  # equal arguments once
+    for i in feeding_terms(sensor):
+        for j, (row, (low, high)) in enumerate(zip(plant.G[i], image(plant.G[i], states))):
+            found.setdefault((row + 0.0).tobytes(), Limit(i, j, float(low), float(high)))
+    return (*found.values(), *(Limit(None, j, *map(float, inputs[j])) for j in used_inputs(sensor)
+                               if np.isfinite(inputs[j]).any()))
 
 
-def _certificate(status: str, form: Form, sensor: VirtualSensor,
-                 bounds: dict[int, tuple[Interval, ...]],
+def _certificate(status: str, form: Form, sensor: VirtualSensor, bounds: Bounds,
                  region: tuple[Limit, ...], reason: str) -> Certificate:
     # V in units of the channel: |Cv e|^2 <= e' S e
     size = max(float(np.linalg.norm(solve_triangular(form.L, row, lower=True)))
                for row in sensor.Cv)
     L = form.L * (size or 1.0)
     return Certificate(status, float(form.rate), float(form.bound * (1 + 1e-9)), L @ L.T, region,
-                       _lipschitz(sensor, bounds), reason)
+                       lipschitz(sensor, bounds), reason)
 
 
-def _none(sensor: VirtualSensor, bounds: dict[int, tuple[Interval, ...]],
-          reason: str) -> Certificate:
+def _none(sensor: VirtualSensor, bounds: Bounds, reason: str, left: str = '') -> Certificate:
     return Certificate('none', 0.0, np.inf, np.zeros_like(sensor.N), (),
-                       _lipschitz(sensor, bounds), reason)
+                       lipschitz(sensor, bounds), reason, left)
 
 
 def _said(sensor: VirtualSensor, reason: str) -> str:
@@ -336,7 +309,7 @@ def _said(sensor: VirtualSensor, reason: str) -> str:
 
 
 def _term_names(sensor: VirtualSensor) -> list[str]:
-    return [sensor.terms[i].name for i in _feeding_terms(sensor)]
+    return [short_name(i, sensor.terms[i].name) for i in feeding_terms(sensor)]
 
 
 def _listed(texts: Sequence[str]) -> str:

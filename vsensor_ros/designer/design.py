@@ -28,6 +28,7 @@ from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
+from vsensor_ros.designer.subsystem import subsystem
 from vsensor_ros.designer.temporary import temporary as for_a_time
 from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.functions.expression import check_name
@@ -71,11 +72,13 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     for done, (fault_set, channel) in enumerate(tasks):
         if progress is not None:
             progress(done, len(tasks), f'{channel} without {", ".join(fault_set) or "a fault"}')
-        problem = pose(plant, fault_set, channel, functionals.get(channel))
-        lost = _lost_before(entries, problem)
         with _calmly():
-            entries[fault_set, channel] = lost or _answer(problem, prefer, decay, bounded, method,
-                                                          temporary)
+            part = subsystem(plant, fault_set, channel, functionals.get(channel))
+            rows = functionals[channel][:, part.states] if channel in functionals else None
+            problem = pose(part.plant, part.lost, channel, rows)
+            entries[fault_set, channel] = _lost_before(
+                entries, fault_set, problem) or part.entry_of_whole(_answer(
+                    problem, prefer, decay, bounded, method, temporary))
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
@@ -169,14 +172,14 @@ def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
 
 
 def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | Refusal],
-                 problem: Problem) -> Refusal | None:
+                 fault_set: tuple[str, ...], problem: Problem) -> Refusal | None:
     """Return the refusal that holds already with fewer faults: less knowledge mends nothing."""
     for (fewer, of), entry in entries.items():
         if of == problem.channel and isinstance(entry, Refusal) \
-                and set(fewer) < set(problem.fault_set):
+                and set(fewer) < set(fault_set):
             # this one was lost by itself: what it would follow from stands before it
             return replace(
-                entry, fault_set=problem.fault_set,
+                entry, fault_set=fault_set,
                 reason=say(Reason.of('already without', fault_set=fewer, reason=entry.reason)),
                 # not the alternative of fewer faults: it may read a sensor that has failed now
                 alternative=alternative(problem) if entry.alternative else '')
@@ -251,7 +254,7 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     """Add how far its stability is proved, its start may be off, and how its channel tracks it."""
     if isinstance(entry, VirtualSensor):
         return replace(tracked(problem, started(problem, entry)),
-                       certificate=certify(problem.plant, entry))
+                       certificate=entry.certificate or certify(problem.plant, entry))
     return entry
 
 

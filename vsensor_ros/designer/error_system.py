@@ -13,6 +13,10 @@ from itertools import product
 
 import numpy as np
 
+from vsensor_ros.designer.joint_slopes import JointSlopes
+
+MOST_CORNERS = 8  # slopes whose 2**8 corners are all put in; beyond, the S-procedure
+
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
@@ -42,9 +46,22 @@ class ErrorSystem:
     rising: Slopes
     loose: Slopes
     sample_time: float | None
+    joint: JointSlopes | None = None  # which of the bounded slopes come together; None: all
+
+    @property
+    def cornered(self) -> bool:
+        """Whether ``corners`` are few enough for all of them to be tried."""
+        return self.joint is not None or len(self.bounded.feeding.radius) <= MOST_CORNERS
 
     def corners(self) -> Iterator[np.ndarray]:
-        """Yield N at all corners of the bounded slopes, the rising ones at their lower end."""
+        """
+        Yield N at all corners of the bounded slopes, the rising ones at their lower end.
+
+        Where it is known which slopes come together: N at points of their box.
+        """
+        if self.joint is not None:
+            yield from self.joint.matrices(self.joint.at(self.joint.points()))
+            return
         fed = self.bounded.feeding
         for signs in product((-1.0, 1.0), repeat=len(fed.radius)):
             yield self.N + fed.p * (np.array(signs) * fed.radius) @ fed.g

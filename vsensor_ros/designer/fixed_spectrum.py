@@ -128,10 +128,14 @@ def with_spectrum(known: Quotient, noise: NoiseModel, spectrum: np.ndarray) -> S
         N, Cv, np.zeros((k, known.order)), W_, j_, g_, M, known.v[0]))
 
 
-def repeated(spectrum: np.ndarray) -> bool:
-    """Tell whether two eigenvalues are so near that the modal form is ill-conditioned."""
+def repeated(spectrum: np.ndarray, still: float = 0.0) -> bool:
+    """
+    Tell whether two eigenvalues are so near that the modal form is ill-conditioned.
+
+    ``still``: the eigenvalue of what rests.
+    """
     gaps = np.abs(np.subtract.outer(spectrum, spectrum)) + np.diag(np.full(len(spectrum), np.inf))
-    return bool(len(spectrum) > 1 and gaps.min() <= REPEATED * np.abs(spectrum).max())
+    return bool(len(spectrum) > 1 and gaps.min() <= REPEATED * np.abs(spectrum - still).max())
 
 
 def with_polynomial(known: Quotient, noise: NoiseModel, N: np.ndarray) -> Solutions | None:
@@ -174,7 +178,7 @@ def _modes(known: Quotient, spectrum: np.ndarray,
     A, E = known.A, known.E
     for value in (complex(v) for v in spectrum if v.imag >= 0):
         shifted = A - (value if value.imag else value.real) * np.eye(len(A))
-        size = max(known.speed, abs(value), float(np.finfo(float).tiny))
+        size = max(known.motion, abs(value - known.still), float(np.finfo(float).tiny))
         try:
             X = np.linalg.solve(shifted.T, E.T).T
             near = (np.abs(known.spectrum - value).min() <= APART * size

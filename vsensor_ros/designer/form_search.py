@@ -25,7 +25,7 @@ from scipy.linalg import (
 
 from vsensor_ros.designer.error_system import decay_rate, ErrorSystem, no_slopes
 from vsensor_ros.designer.peak_to_peak import peak_bound
-from vsensor_ros.designer.quadratic_form import bound_on, falling_rate, Form, MOST_CORNERS
+from vsensor_ros.designer.quadratic_form import bound_on, falling_rate, Form
 
 LARGEST_ORDER = 14  # for matrix inequalities: their cost grows with the sixth power
 LARGEST_INEQUALITY = 2500  # entries of all corners together in the search; beyond, the same
@@ -45,7 +45,7 @@ def lyapunov(error: ErrorSystem) -> tuple[np.ndarray, float] | None:
     form that the Lyapunov equation gives stands the check; None when none does.
     """
     N, step = error.N, error.sample_time
-    bare = replace(error, bounded=no_slopes(error), rising=no_slopes(error))
+    bare = replace(error, bounded=no_slopes(error), rising=no_slopes(error), joint=None)
     decay = decay_rate(N, step)
     if not decay > 0.0:
         return None
@@ -82,17 +82,10 @@ def search(error: ErrorSystem, wanted: float = 0.0) -> Form | None:
 
     Raises ImportError when it would need cvxpy or clarabel and they are missing.
     """
-    fed, rising = error.bounded.feeding, error.rising.feeding
-    k = len(error.N)
-    if error.loose.feeding.radius.size or (rising.radius.size and error.sample_time is not None):
+    if hopeless(error, wanted):
         return None
-    if np.any(np.sum(rising.p.T * rising.g, axis=1) >= 0):
-        return None  # S p = -t g' with t > 0 needs g p = -p' S p / t
-    ceiling = decay_rate(error.N, error.sample_time)
-    if len(fed.radius) <= MOST_CORNERS:
-        ceiling = min(ceiling, *(decay_rate(A, error.sample_time) for A in error.corners()))
-    if not ceiling > wanted:
-        return None
+    fed, rising, k = error.bounded.feeding, error.rising.feeding, len(error.N)
+    ceiling = _ceiling(error)
     nominal = lyapunov(error)
     if nominal is None:
         return None
@@ -117,11 +110,29 @@ def search(error: ErrorSystem, wanted: float = 0.0) -> Form | None:
                 raise
         else:
             _climb(solve, ceiling, max(least, 0.0), wanted, weigh,
+                   ROUGH if error.joint is not None else
                    ACCURACY if k + len(fed.radius) <= SMALL else COARSE)
     best = max(forms, key=lambda form: form.rate, default=None)
     if best is None or best.rate < wanted:
         return None
     return replace(best, bound=min(peak_bound(error, *nominal), *(f.bound for f in forms)))
+
+
+def hopeless(error: ErrorSystem, wanted: float = 0.0) -> bool:
+    """Tell whether eigenvalues alone rule out a form of more than the wanted rate."""
+    rising = error.rising.feeding
+    if error.loose.feeding.radius.size or (rising.radius.size and error.sample_time is not None):
+        return True
+    if np.any(np.sum(rising.p.T * rising.g, axis=1) >= 0):
+        return True  # S p = -t g' with t > 0 needs g p = -p' S p / t
+    return not _ceiling(error) > wanted
+
+
+def _ceiling(error: ErrorSystem) -> float:
+    ceiling = decay_rate(error.N, error.sample_time)
+    if error.cornered:
+        ceiling = min(ceiling, *(decay_rate(A, error.sample_time) for A in error.corners()))
+    return ceiling
 
 
 def _climb(solve: Solve, ceiling: float, low: float, wanted: float,
@@ -132,7 +143,7 @@ def _climb(solve: Solve, ceiling: float, low: float, wanted: float,
         return -np.inf if answer is None else weigh(*answer)
 
     if low < max(wanted, 1e-3 * ceiling):
-        low = proved(max(wanted, 1e-3 * ceiling))
+        low = proved(max((1 + 0.6 * accuracy) * wanted, 1e-3 * ceiling))
         if not low >= wanted or low <= 0.0:
             return
     high, rate = ceiling, (1 - 0.5 * accuracy) * ceiling
@@ -170,8 +181,8 @@ def _inequalities(error: ErrorSystem, L: np.ndarray) -> Solve:
     if not len(basis):
         return lambda rate, for_noise=False: None
     p, g = L.T @ fed.p, right(fed.g) * fed.radius[:, None]
-    corners = len(fed.radius) <= MOST_CORNERS \
-        and 2**len(fed.radius) * k * k <= LARGEST_INEQUALITY
+    corners = error.joint is not None or (
+        error.cornered and 2**len(fed.radius) * k * k <= LARGEST_INEQUALITY)
     blocks: list[tuple[np.ndarray, np.ndarray]] = []  # X = sum x_i F_i + c sum x_i E_i <= 0
     if corners:
         for A in error.corners():

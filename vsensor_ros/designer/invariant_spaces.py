@@ -163,7 +163,8 @@ def _riccati(space: InvariantSpace, drive: np.ndarray, sample_time: float | None
     k, t = len(space.W), len(space.T)
     scale = max(float(np.trace(drive)) / k, float(np.finfo(float).tiny))
     drive = drive + 1e-6 * scale * np.eye(k)
-    gain = float(np.linalg.norm(space.Nc)) / max(float(np.linalg.norm(space.N, 2)), 1e-150)
+    moved = space.N if sample_time is None else space.N - np.eye(k)
+    gain = float(np.linalg.norm(space.Nc)) / max(float(np.linalg.norm(moved, 2)), 1e-150)
     typical = scale * max(gain**2 / t, 1e-300)
     for weight in WEIGHTS if k <= SMALL else WEIGHTS[1:2]:
         meter = weight * typical * np.eye(t)

@@ -4,8 +4,9 @@ What noise does to an estimate, and the least that it can do: the Kalman filter'
 Readings carry white noise of the plant's standard deviations, one value each INTERVAL (or, when
 the plant's own rates ask for it, faster), or at the rate that is given of the sensor; states are
 moved by the plant's process noise. Where the plant gives no figures, readings err by RELATIVE of
-the state's natural size, and the process by ROUGH times as much within a mean time constant: the
-model is rougher than the sensors. A slow state is moved by SLOW of that.
+what their states' natural sizes make of them (see natural_size.py), and the process moves a state
+by ROUGH times as much within a mean time constant: the model is rougher than the sensors. A slow
+state is moved by SLOW of that.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from scipy.linalg import (
     solve_discrete_lyapunov,
 )
 
+from vsensor_ros.designer.natural_size import couplings, RELATIVE
 from vsensor_ros.designer.observer import Candidate
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
 
 INTERVAL = 0.01  # s, between readings of a continuous plant: the replacer's default rate
 PER_TIME_CONSTANT = 10.0  # readings, at least, in a mean time constant of the plant
-RELATIVE = 0.01
 ROUGH = 3.0
 SLOW = 0.01
 FAINTEST = 1e-6  # a noise of zero is taken as this much of the largest
@@ -41,8 +42,7 @@ class NoiseModel:
     interval: float  # s between readings; 1 for a discrete plant
     sample_time: float | None
     assumed: bool  # some figures are defaults
-    typical: float  # noise of a reading, of its natural size
-    usual: float  # of process, as that
+    usual: float  # of process, where it is not given
 
     @property
     def intensity(self) -> np.ndarray:
@@ -81,15 +81,7 @@ class NoiseModel:
 
 def mean_rate(problem: Problem) -> float:
     """Return the geometric mean [1/s] of the plant's own rates, integrators left out."""
-    rates = own_rates(problem)
-    return float(np.exp(np.mean(np.log(rates)))) if rates.size else 1.0
-
-
-def own_rates(problem: Problem) -> np.ndarray:
-    """Return the moduli [1/s] of the plant's modes, integrators and dead beats left out."""
-    own, h = problem.modes, problem.plant.sample_time
-    rates = np.abs(own) if h is None else np.abs(np.log(own[np.abs(own) > 1e-6])) / h
-    return np.asarray(rates[rates > 1e-9 * max(rates.max(initial=0.0), np.finfo(float).tiny)])
+    return couplings(problem.plant).mean_rate
 
 
 def usual_decay(problem: Problem) -> float:
@@ -105,17 +97,13 @@ def noise_model(problem: Problem) -> NoiseModel:
     plant, rate = problem.plant, mean_rate(problem)
     h, interval = plant.sample_time, interval_of(problem)
     given = plant.noise[[plant.sensors.index(s) for s in problem.healthy]] / problem.y0_size
-    # the natural size of the scaled states is what makes given noise RELATIVE of it
-    typical = float(np.nanmedian(given)) if np.any(given > 0) else RELATIVE
-    typical = typical if typical > 0 else RELATIVE
     process = plant.process_noise / problem.scale
-    usual = float(ROUGH * typical * np.sqrt(2.0 * rate * (1.0 if h is None else h)))
+    usual = float(ROUGH * RELATIVE * np.sqrt(2.0 * rate * (1.0 if h is None else h)))
     return NoiseModel(
-        given_or(given, typical),
+        given_or(given),
         lasts_of(problem, [plant.sensors.index(s) for s in problem.healthy], interval),
         np.where(np.isnan(process), np.where(plant.slow, SLOW, 1.0) * usual, process),
-        interval, h,
-        bool(np.isnan(given).any() or np.isnan(process).any()), typical, usual)
+        interval, h, bool(np.isnan(given).any() or np.isnan(process).any()), usual)
 
 
 def interval_of(problem: Problem) -> float:
@@ -131,10 +119,10 @@ def lasts_of(problem: Problem, sensors: list[int], interval: float) -> np.ndarra
     return np.where(np.isnan(own), interval, own if h is None else np.maximum(own / h, 1.0))
 
 
-def given_or(given: np.ndarray, typical: float) -> np.ndarray:
-    """Return the noise of readings, where none is given the typical one, and none without any."""
-    reading = np.where(np.isnan(given), typical, given)
-    return np.asarray(np.maximum(reading, FAINTEST * max(reading.max(initial=0.0), typical)))
+def given_or(given: np.ndarray) -> np.ndarray:
+    """Return the noise of readings of natural size one: the usual one, where none is given."""
+    reading = np.where(np.isnan(given), RELATIVE, given)
+    return np.asarray(np.maximum(reading, FAINTEST * max(reading.max(initial=0.0), RELATIVE)))
 
 
 @dataclass(frozen=True, eq=False)

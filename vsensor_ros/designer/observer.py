@@ -175,19 +175,20 @@ def leaves_one_branch(sensor: VirtualSensor) -> bool:
         for i in sensor.active)
 
 
-def linearised(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, np.ndarray]:
+def linearised(plant: Plant, sensor: VirtualSensor, x: np.ndarray | None = None,
+               u: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return N (k, k) and J (k, l0) with the nonlinear terms' slopes at the operating point.
+    Return N (k, k) and J (k, l0) with the terms' slopes at a point, by default the operating one.
 
     In continuous time a sign is left out: its slope is 0 or infinite.
     """
     N, J = sensor.N, sensor.J
+    x, u = plant.operating_point if x is None else x, plant.operating_input if u is None else u
     for i in sensor.active:
         term = sensor.terms[i]
         if set_valued(term) and sensor.sample_time is None:
             continue
-        slope = slope_at(term, plant.G[i] @ plant.operating_point, plant.inputs,
-                         plant.operating_input) - term.slope
+        slope = slope_at(term, plant.G[i] @ x, plant.inputs, u) - term.slope
         N = N + np.outer(sensor.P[:, i], slope @ sensor.Gz[i])
         J = J + np.outer(sensor.P[:, i], slope @ sensor.Gy[i])
     return N, J

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,11 +40,17 @@ class Family:
     M: np.ndarray
     F: np.ndarray
     speed: float  # size of the plant's A, against which rounding is measured
+    still: float = 0.0  # the root of what rests: 1 where d is the shift
 
     @property
     def free(self) -> bool:
         """Whether any spectrum can be had."""
         return len(self.F) == len(self.M)
+
+    @cached_property
+    def size(self) -> float:
+        """Return the size of M less what rests."""
+        return float(np.linalg.norm(self.M - self.still * np.eye(len(self.M)), 2))
 
     def member(self, theta: np.ndarray) -> np.ndarray:
         """Return the matrix (k, k) whose eigenvalues are the roots of one polynomial."""
@@ -96,6 +103,8 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
             null = np.linalg.svd(outside.T)[2][k - int(freedom[k] or 0):]
         leading = null[:, -1] if len(null) else np.zeros(0)
         if np.linalg.norm(leading) < RANK_TOLERANCE:
+            if not found:  # outside after all: the next is to be held against it, too
+                both = _extended(both, krylov[-1][:, None])
             yield k, None, here
             continue
         found = True
@@ -104,7 +113,7 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
         M = H[:k].T.copy()
         M[-1] -= H[k, k - 1] * base[:k]
         F = image(free[:, :k].T).T
-        yield k, Family(speed * M, F, speed), here
+        yield k, Family(speed * M, F, speed, known.still), here
 
 
 def _off(basis: np.ndarray, X: np.ndarray) -> np.ndarray:

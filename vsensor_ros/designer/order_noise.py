@@ -24,6 +24,8 @@ from vsensor_ros.designer.candidates import (
     static,
     whole,
 )
+from vsensor_ros.designer.choice import most_valid
+from vsensor_ros.designer.error_in_box import feeding_terms
 from vsensor_ros.designer.exact import ExactVerdict
 from vsensor_ros.designer.existence import examine, Existence
 from vsensor_ros.designer.fixed_spectrum import MOST_MODES, SPARING
@@ -57,13 +59,15 @@ _Rungs = dict[int, tuple[JudgedCandidate, VirtualSensor]]
 
 
 def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int], prefer: str,
-                  decay: float | None, exact: ExactVerdict | None) -> VirtualSensor | Refusal:
+                  decay: float | None, exact: ExactVerdict | None,
+                  validity: bool = True) -> VirtualSensor | Refusal:
     """
     Return the virtual sensor for a problem that has one, with its proof and its ladder.
 
     ``existence``: of the problem itself, on which the proof rests; ``avoid``: nonlinear terms
     that the virtual sensor is to be decoupled from besides. ``prefer``: 'quiet' or 'least'.
-    ``exact``: what exact arithmetic says of the problem, if it can.
+    ``exact``: what exact arithmetic says of the problem, if it can. ``validity``: whether what is
+    proved of a virtual sensor goes before its rank; it then has its certificate.
     """
     assert existence.quotient is not None
     noise = noise_model(problem)
@@ -78,7 +82,7 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     doubts = doubtful(existence.gap, 'whether one exists', exact)
     rungs: _Rungs = {}
 
-    reserve = [c for g in where for c in (*filters(g), *whole(g))]
+    reserve = [c for g in where for c in (*filters(g, decay is not None), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
         reserve += [c for g in where for c in on_invariant_spaces(g)]
     if len(problem.V) > 1:
@@ -86,6 +90,15 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     bound = _least_rows(where)
     proofs = _families_by_order(base, freedom)
     of_grounds = [_families_by_order(g, None) for g in where]
+    met = list(reserve)
+
+    def chosen(k: int) -> VirtualSensor:
+        order = k
+        if validity:
+            rivals = met if prefer == 'quiet' else [c for c in met if c.order == k]
+            order = _prove(problem, rungs, k, rivals, enough)
+        return _chosen(rungs, order, base, steps, doubts, decay)
+
     for k in range(max(g.known.order for g in where) + 1):
         here = [c for c in reserve if c.order == k]
         proof = next(proofs, None)
@@ -94,7 +107,8 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
         for ground, of_ground in zip(where, of_grounds):
             family = proof if ground.known is base.known else next(of_ground, None)
             if k and family is not None and family[0] is not None:
-                here += of_family(ground, family[0])
+                made = of_family(ground, family[0])
+                here, met = here + made, met + made
         found = _quietest_built(problem, where, here, enough, 1.0 if decay else LIVELY)
         if found is None:
             step = _excluded(k, base, proof, bound)
@@ -106,12 +120,13 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
         steps.append(step)
         doubts += doubtful(proof[1], f'order {k}', exact) if proof else []
         if k in rungs and (prefer == 'least' or _good(rungs, k, reserve, enough)):
-            return _chosen(rungs, k, base, steps, doubts, decay)
+            return chosen(k)
         if len(rungs) >= MOST_RUNGS:
             break
     # no order was good enough: take the best there is
     if not rungs:
         reserve += [c for g in where for c in on_invariant_spaces(g)]
+        met = list(reserve)
     for k in sorted({c.order for c in reserve}):
         found = _quietest_built(problem, [], [c for c in reserve if c.order == k], enough, 1.0)
         if found is not None:
@@ -119,7 +134,37 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     if not rungs:
         return _refusal(base, doubts)
     good = [k for k in sorted(rungs) if prefer == 'least' or _good(rungs, k, [], enough)]
-    return _chosen(rungs, good[0], base, steps, doubts, decay)
+    return chosen(good[0])
+
+
+def _prove(problem: Problem, rungs: _Rungs, k: int, rivals: list[JudgedCandidate],
+           enough: float) -> int:
+    """Certify rung k, or put what is proved of more in its place; return the order of that."""
+    fast = _fast([*rivals, rungs[k][0]], enough)
+    least = min(c.error for c in fast)
+    # by order, the fastest of nearly the least noise first, as where all are proved alike
+    fast.sort(key=lambda c: (c.order, -c.decay if c.error <= LIVELY * least else c.error))
+    built = {rungs[k][1]: rungs[k][0]}
+
+    def ranked() -> Iterator[VirtualSensor]:
+        yield rungs[k][1]
+        alike = {_likeness(*rungs[k])}
+        for c in fast:
+            sensor = build(problem, c.candidate, c.method) if c.error <= QUIET * least else None
+            if sensor is not None and _likeness(c, sensor) not in alike:
+                alike.add(_likeness(c, sensor))
+                built[sensor] = c
+                yield sensor
+
+    sensor, certificate = most_valid(problem.plant, ranked())
+    candidate = built[sensor]
+    rungs[candidate.order] = candidate, replace(sensor, certificate=certificate)
+    return candidate.order
+
+
+def _likeness(c: JudgedCandidate, sensor: VirtualSensor) -> tuple[object, ...]:
+    """Return what virtual sensors have in common that are proved alike, in all likelihood."""
+    return (c.order, *feeding_terms(sensor), *np.round(10 * np.log([c.error, c.decay])))
 
 
 def _single(problem: Problem, avoid: frozenset[int], prefer: str,
@@ -128,7 +173,7 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
     existence = examine(problem)
     if existence.quotient is None:
         return None
-    found = search_orders(problem, existence, avoid, prefer, decay, None)
+    found = search_orders(problem, existence, avoid, prefer, decay, None, validity=False)
     if isinstance(found, Refusal):
         return None
     return Candidate(found.Phi * problem.scale, found.N, found.J * problem.y0_size,

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import matrix_balance
-from scipy.sparse.csgraph import connected_components
 
+from vsensor_ros.designer.natural_size import couplings, natural_sizes
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.subspaces import complement, image, in_row_space, RANK_TOLERANCE
 from vsensor_ros.plant import Plant
-
-SWEEPS = 30  # of balancing
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +18,9 @@ class Problem:
     """
     Estimate ``v = V x + Qv y0`` from ``y0``, of which ``Y y0 = C0 x`` is free of unknown inputs.
 
-    The states are balanced (``x = scale * x_here``), the rows of C and V and the columns of D and
-    P have length one: units chosen by the user do not decide ranks (method 3.8). Commands that
+    The states are in their natural sizes (``x = scale * x_here``), the rows of C and V and the
+    columns of D and P have length one: units chosen by the user do not decide ranks (method 3.8).
+    Commands that
     sensors read directly are taken off beforehand. Where sensors read unknown inputs directly,
     ``y1 = C1 x + Cd1 rho`` with Cd1 of full row rank, rho is replaced by what they say of it:
     ``d x = (A - F C) x + F y0 + ..`` is then the plant, without these rows (this is what
@@ -48,21 +46,16 @@ class Problem:
     y0_size: np.ndarray  # (l0,): y0 = y0_size * y0_here
     v_size: np.ndarray  # (p,): v = v_size * v_here
 
-    @cached_property
+    @property
     def modes(self) -> np.ndarray:
-        """
-        Eigenvalues of the plant (n,) complex, of one strongly connected part after the other.
-
-        Equal parts in a row have equal modes, which taken together would scatter widely.
-        """
-        return np.concatenate([np.linalg.eigvals(self.A_plant[np.ix_(part, part)]).astype(complex)
-                               for part in _parts(self.A_plant)])
+        """Eigenvalues of the plant (n,) complex."""
+        return couplings(self.plant).modes
 
     @cached_property
     def stable(self) -> bool:
         """Whether the plant forgets every start by itself."""
         return not any(lasting(self.A_plant[np.ix_(part, part)], self.plant.sample_time)[1].any()
-                       for part in _parts(self.A_plant))
+                       for part in couplings(self.plant).parts)
 
     @property
     def A_plant(self) -> np.ndarray:
@@ -73,6 +66,11 @@ class Problem:
     def speed(self) -> float:
         """Size of A, against which its rounding errors are measured."""
         return float(np.linalg.norm(self.A, 2))
+
+    @property
+    def still(self) -> float:
+        """What A is of a state that rests: 1 where d is the shift."""
+        return 0.0 if self.plant.sample_time is None else 1.0
 
     @property
     def C_star(self) -> np.ndarray:
@@ -97,14 +95,15 @@ def pose(plant: Plant, fault_set: tuple[str, ...], channel: str,
     """
     healthy = tuple(s for s in plant.sensors if s not in fault_set)
     rows = [plant.sensors.index(s) for s in healthy]
-    scale = _state_scale(plant.A)
-    A, C = plant.A / scale[:, None] * scale, plant.C[rows] * scale
     if wanted is None:
         own = [plant.sensors.index(channel)]
         target = plant.C[own], plant.Cu[own], plant.Cd[own]
     else:
         target = (wanted, np.zeros((len(wanted), len(plant.inputs))),
                   np.zeros((len(wanted), len(plant.disturbances))))
+    failed = [plant.sensors.index(s) for s in fault_set]
+    scale = natural_sizes(plant, rows, failed, target[0])
+    A, C = plant.A / scale[:, None] * scale, plant.C[rows] * scale
     V, Vd = target[0] * scale, target[2]
     y0_size, v_size = _length(C), _length(V)
     C, V = C / y0_size[:, None], V / v_size[:, None]
@@ -122,49 +121,6 @@ def pose(plant: Plant, fault_set: tuple[str, ...], channel: str,
         _unit_columns(plant.P / scale[:, None]),
         tuple(g * scale / _length(g * scale)[:, None] for g in plant.G), F, Y, Qv,
         not in_row_space(Cd, Vd), scale, y0_size, v_size)
-
-
-def _state_scale(A: np.ndarray) -> np.ndarray:
-    """
-    Choose units of the states (n,) in which the entries of A are of like size.
-
-    Balancing does that where states act on each other both ways. Parts that act on each other in
-    one direction only are scaled against each other so that the coupling is, in the sense of
-    least squares, as large as the geometric mean of the two parts.
-    """
-    scale = matrix_balance(A, permute=False, separate=True)[1][0]
-    balanced = np.abs(A / scale[:, None] * scale)
-    off = balanced * (1 - np.eye(len(A)))
-    for _ in range(SWEEPS):  # beyond powers of two, so that units do not change the answer
-        for i in range(len(A)):
-            row, column = np.linalg.norm(off[i]), np.linalg.norm(off[:, i])
-            if row > 0 and column > 0:
-                factor = np.sqrt(row / column)
-                scale[i] *= factor
-                off[i] /= factor
-                off[:, i] *= factor
-    balanced = np.abs(A / scale[:, None] * scale)
-    count, part = connected_components(balanced > 0, directed=True, connection='strong')
-    if count == 1:
-        return scale
-    member = np.eye(count)[:, part]
-    blocks = np.sqrt(member @ balanced**2 @ member.T)
-    typical = np.exp(np.mean(np.log(balanced[balanced > 0]))) if balanced.any() else 1.0
-    own = np.where(np.diag(blocks) > 0, np.diag(blocks), typical)
-    rows, columns = np.nonzero(blocks * (1 - np.eye(count)))
-    # blocks[i, j] s_j / s_i = sqrt(own_i own_j), for the logarithms of s
-    equations = np.eye(count)[columns] - np.eye(count)[rows]
-    wanted = 0.5 * np.log(own[rows] * own[columns]) - np.log(blocks[rows, columns])
-    if not len(rows):
-        return scale
-    logarithms = np.linalg.lstsq(equations, wanted, rcond=None)[0]
-    return scale * np.exp(np.clip(logarithms, -100, 100))[part]
-
-
-def _parts(A: np.ndarray) -> list[np.ndarray]:
-    """Return the states of each strongly connected part of A."""
-    count, part = connected_components(A != 0, directed=True, connection='strong')
-    return [np.flatnonzero(part == i) for i in range(count)]
 
 
 def _length(M: np.ndarray) -> np.ndarray:

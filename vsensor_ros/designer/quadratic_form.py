@@ -14,7 +14,6 @@ from scipy.linalg import solve_triangular
 
 from vsensor_ros.designer.error_system import contraction, ErrorSystem, Slopes
 
-MOST_CORNERS = 8  # slopes whose 2**8 corners are all put in; beyond, the S-procedure
 ROUNDING = 1e-12  # relative, of the matrices of the error
 EQUALITY = 1e-9  # relative, to which S p = -t g' must hold where a slope has no upper bound
 
@@ -32,7 +31,8 @@ def falling_rate(error: ErrorSystem, L: np.ndarray, t: np.ndarray | None = None)
     """
     Return the rate [1/s] at which V = |L' e|^2 is certain to fall, or -inf.
 
-    Up to MOST_CORNERS bounded slopes every corner of their box is tried. More slopes are judged
+    Slopes that are known to come together are judged in cells of their box. Else, up to
+    MOST_CORNERS bounded slopes, every corner of their box is tried. More slopes are judged
     by the S-procedure with multipliers t (chosen here when None). A slope s that rises without
     bound needs S p = -t g' with t >= 0; it then makes the form fall by a further 2 t s (g e)^2.
     S solves that equation only up to rounding, for which a margin is kept; so is one for the
@@ -57,8 +57,11 @@ def falling_rate(error: ErrorSystem, L: np.ndarray, t: np.ndarray | None = None)
     inverse = np.abs(solve_triangular(L, np.eye(len(L)), lower=True).T)
     slack = (margin * np.linalg.norm(turned(error.N))
              + 4 * np.finfo(float).eps * len(L)
-             * np.linalg.norm(np.abs(L.T) @ np.abs(error.N) @ inverse))
-    if len(fed.radius) <= MOST_CORNERS:
+             * np.linalg.norm(np.abs(L.T) @ (
+                 np.abs(error.N) if error.joint is None else error.joint.moduli()) @ inverse))
+    if error.joint is not None:
+        worst = error.joint.growth(L, error.sample_time)
+    elif error.cornered:
         worst = max(_growth(turned(A), error.sample_time) for A in error.corners())
     else:
         worst = _growth_by_multipliers(turned(error.N), L.T @ fed.p,

@@ -39,6 +39,7 @@ class Quotient:
     R: np.ndarray  # (c, l0)
     v: np.ndarray  # (p, r)
     q: np.ndarray  # (p, l0)
+    still: float = 0.0  # what A is of a state that rests: 1 where d is the shift
 
     @cached_property
     def spectrum(self) -> np.ndarray:
@@ -49,6 +50,12 @@ class Quotient:
     def speed(self) -> float:
         """Return the size of A."""
         return float(np.linalg.norm(self.A, 2)) if len(self.A) else 0.0
+
+    @cached_property
+    def motion(self) -> float:
+        """Return the size of A less what rests: of what happens in a step."""
+        return float(np.linalg.norm(self.A - self.still * np.eye(len(self.A)), 2)) \
+            if len(self.A) else 0.0
 
     @property
     def order(self) -> int:
@@ -76,7 +83,7 @@ def quotient(problem: Problem, Phi: np.ndarray, gap: Gap | None = None) -> Quoti
     E = R @ C0 @ Phi.T  # of unit rows: what is less than rounding is nothing
     E[np.linalg.norm(E, axis=1) < RANK_TOLERANCE] = 0.0
     return Quotient(Phi, A, J @ problem.Y + Phi @ problem.F, E, R @ problem.Y,
-                    v, q @ problem.Y + problem.Qv)
+                    v, q @ problem.Y + problem.Qv, problem.still)
 
 
 def argument(problem: Problem, Phi: np.ndarray, g: np.ndarray) -> np.ndarray | None:

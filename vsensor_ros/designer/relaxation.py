@@ -111,8 +111,8 @@ class Relaxed:
         rate = mean_rate(problem) * (1.0 if plain.sample_time is None else plain.sample_time)
         unit = max(_mean_square(plain.process), _mean_square(plain.reading) * np.sqrt(2 * rate))
         return Disturbed(plain.reading, plain.lasts, plain.process, plain.interval,
-                         plain.sample_time, plain.assumed, plain.typical, plain.usual, D, Cd, Vd,
-                         problem.v_size, intensity * unit / size, self.limit)
+                         plain.sample_time, plain.assumed, plain.usual, D, Cd, Vd, problem.v_size,
+                         intensity * unit / size, self.limit)
 
 
 def relax(problem: Problem) -> Relaxed | None:

@@ -10,6 +10,7 @@ the continuations outside the domains too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import product
 import math
 
@@ -42,10 +43,16 @@ def slope_bounds_on(term: NonlinearTerm, box: np.ndarray, inputs: Sequence[str],
     every s_j in its pair. (0, inf) is a term that never falls along that argument (sign, the odd
     square root at 0); (-inf, inf): nothing can be said. Source: the method, 3.5.
     """
-    arguments = argument_names(len(term.slope))
-    node = fold(parse(term.text, 'nonlinearity', term.name))
-    ranges = {name: (float(low), float(high)) for name, (low, high)
-              in zip((*arguments, *inputs), np.vstack([box, input_box]))}
+    slopes = _over(term.text, argument_names(len(term.slope)), tuple(inputs),
+                   tuple(np.vstack([box, input_box]).ravel().tolist()))
+    return tuple((low - float(s), high - float(s)) for (low, high), s in zip(slopes, term.slope))
+
+
+@lru_cache(maxsize=1024)
+def _over(text: str, arguments: tuple[str, ...], inputs: tuple[str, ...],
+          box: tuple[float, ...]) -> tuple[Interval, ...]:
+    node = _tree(text)
+    ranges = dict(zip((*arguments, *inputs), zip(box[::2], box[1::2])))
     used = [name for name in names(node) if ranges[name][0] < ranges[name][1]]
     pieces = max(2, int(CELLS ** (1.0 / max(1, len(used)))))
     total: list[Interval] | None = None
@@ -54,7 +61,25 @@ def slope_bounds_on(term: NonlinearTerm, box: np.ndarray, inputs: Sequence[str],
             slopes = _ranged(node, {**ranges, **dict(zip(used, cell))}, arguments)[1]
             total = slopes if total is None else [hull(a, b) for a, b in zip(total, slopes)]
     assert total is not None
-    return tuple((low - float(s), high - float(s)) for (low, high), s in zip(total, term.slope))
+    return tuple(total)
+
+
+@lru_cache(maxsize=1 << 16)
+def slopes_in(text: str, sides: tuple[str, ...], cell: tuple[float, ...],
+              arguments: tuple[str, ...]) -> tuple[Interval, ...]:
+    """
+    Bound the slopes of f, without the addend, in one cell that is not divided.
+
+    ``cell``: low and high of each of the names ``sides``, which are all that the text holds.
+    """
+    with np.errstate(all='ignore'):
+        return tuple(_ranged(_tree(text), dict(zip(sides, zip(cell[::2], cell[1::2]))),
+                             arguments)[1])
+
+
+@lru_cache(maxsize=256)
+def _tree(text: str) -> Node:
+    return fold(parse(text, 'nonlinearity', text))
 
 
 def _cut(whole: Interval, pieces: int) -> list[Interval]:

@@ -95,10 +95,10 @@ def _along(family: Family, base: np.ndarray, direction: np.ndarray,
     # with row c, t c (s - A)^-1 b = 1 at a root s of the member base + t direction
     A, b, c, d = (family.member(base), np.eye(k)[:, -1:], (direction @ family.F)[None, :],
                   np.zeros((1, 1)))
-    size = max(np.linalg.norm(A, 2), np.finfo(float).tiny)
+    size = max(np.linalg.norm(A - family.still * np.eye(k), 2), np.finfo(float).tiny)
     if sample_time is not None:  # z = (1 + s)/(1 - s) takes the unit circle to the imaginary axis
         if np.linalg.cond(A + np.eye(k)) > 1e12:
-            A = A + 1e-9 * size * np.eye(k)
+            A = A + 1e-9 * np.linalg.norm(A, 2) * np.eye(k)
         inverse = np.linalg.inv(A + np.eye(k))
         A, b, c, d = (inverse @ (A - np.eye(k)), np.sqrt(2) * inverse @ b,
                       np.sqrt(2) * c @ inverse, d - c @ inverse @ b)
@@ -132,12 +132,12 @@ def _better(family: Family, sample_time: float | None, wanted: float,
     """Move a stable member to where it decays as wanted, but no farther."""
     if decay_of(family.roots(theta), sample_time) <= 0:
         return theta
-    size = max(float(np.linalg.norm(family.M, 2)), float(np.finfo(float).tiny))
+    size = max(family.size, float(np.finfo(float).tiny))
 
     def cost(t: np.ndarray) -> float:
         roots = family.roots(t)
         return (-min(decay_of(roots, sample_time), wanted) / max(wanted, 1e-300)
-                + 1e-3 * float(np.abs(roots).max()) / size)
+                + 1e-3 * float(np.abs(roots - family.still).max()) / size)
 
     return np.asarray(minimize(cost, theta, method='Nelder-Mead',
                                options={'maxiter': 60 * len(theta)}).x)
@@ -160,24 +160,23 @@ def _lines(family: Family, sample_time: float | None, base: np.ndarray) -> list[
 
 def _descents(family: Family, sample_time: float | None, wanted: float) -> list[np.ndarray]:
     """Descend on the slowest root from several starts, and stop where all decay as wanted."""
-    size = max(np.linalg.norm(family.M, 2), np.finfo(float).tiny)
-    unit = size if sample_time is None else 1.0
-    enough = -wanted / size if sample_time is None else np.exp(-wanted * sample_time)
+    size = max(family.size, float(np.finfo(float).tiny))
+    enough = (-wanted if sample_time is None else np.expm1(-wanted * sample_time)) / size
 
     spent = 0
 
     def worst(theta: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal spent
         spent += 1
-        values, right = np.linalg.eig(family.member(unit * theta))
-        measure = values.real / size if sample_time is None else np.abs(values)
+        values, right = np.linalg.eig(family.member(size * theta))
+        measure = (values.real if sample_time is None else np.abs(values) - 1.0) / size
         i = int(np.argmax(measure))
         try:
             left = np.linalg.solve(right.T, np.eye(len(values))[i])  # left @ right = unit row i
         except np.linalg.LinAlgError:
             return float(measure[i]), np.zeros(len(theta))
-        moved = left[-1] * (family.F @ right[:, i]) * unit
-        slope = moved.real / size if sample_time is None else (
+        moved = left[-1] * (family.F @ right[:, i])
+        slope = moved.real if sample_time is None else (
             np.conj(values[i]) * moved).real / max(abs(values[i]), 1e-12)
         # a light pull keeps the coefficients from running away
         return (float(measure[i]) + 1e-6 * float(theta @ theta), slope + 2e-6 * theta)
@@ -202,7 +201,7 @@ def _descents(family: Family, sample_time: float | None, wanted: float) -> list[
             if value < enough or value > before - 1e-3 * abs(before) or spent > budget:
                 break
             theta = theta + 1e-3 * rng.normal(size=len(theta)) * np.linalg.norm(theta)
-        found.append(unit * theta)
+        found.append(size * theta)
         if value < enough:
             break
     return found
@@ -217,7 +216,7 @@ def _excluded(family: Family, sample_time: float | None) -> NoStableMember:
     unknown = NoStableMember(False, Reason.of('not found among', free=len(family.F)))
     # p(s) > 0 at real s beyond the boundary, and with it all derivatives (Gauss and Lucas):
     # p(s) = det(s - M) (1 - theta F (s - M)^-1 e_k)
-    size = max(float(np.linalg.norm(family.M, 2)), 1e-300)
+    size = max(family.size, 1e-300)
     grid = size * np.concatenate([[0.0], np.geomspace(1e-4, 1e3, _SAMPLES)])
     rows, bounds = [], []
     sides = ((1.0, grid),) if sample_time is None else ((1.0, 1.0 + grid), (-1.0, -1.0 - grid))

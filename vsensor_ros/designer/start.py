@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vsensor_ros.designer.noise import noise_model, RELATIVE
+from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.observers import VirtualSensor
 
@@ -16,20 +16,16 @@ def started(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     Add the covariance (k, k) of ``Phi x - z`` at the start to a virtual sensor that has states.
 
     A state with a range is taken to be anywhere in it, evenly. A state without one differs from
-    its initial value by a standard deviation: the largest of its natural size (see noise.py), its
-    initial value and its operating point; where nothing else is known, 100 times the noise. So
-    give ranges: if a state is further off than that, the estimate is worse, while it converges,
-    than the stated deviation. What the readings tell at the start is taken off, and their noise
-    is added.
+    its initial value by a standard deviation: the largest of its natural size (natural_size.py),
+    its initial value and its operating point. So give ranges: if a state is further off than that,
+    the estimate is worse, while it converges, than the stated deviation. What the readings tell at
+    the start is taken off, and their noise is added.
     """
     if not sensor.order:
         return sensor
     plant, noise = problem.plant, noise_model(problem)
     rows = [plant.sensors.index(s) for s in problem.healthy]
-    given = plant.noise[rows] / problem.y0_size
-    natural = np.nanmedian(given) / RELATIVE if np.any(given > 0.0) else 1.0
-    size = np.max([problem.scale * (natural or 1.0), np.abs(plant.initial),
-                   np.abs(plant.operating_point)], axis=0)
+    size = np.max([problem.scale, np.abs(plant.initial), np.abs(plant.operating_point)], axis=0)
     low, high = plant.ranges.T
     known = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from vsensor_ros.designer import invariant_spaces
 from vsensor_ros.designer.driven import driven
 from vsensor_ros.designer.existence import forced_closure, measured_signs
+from vsensor_ros.designer.natural_size import RELATIVE
 from vsensor_ros.designer.noise import (
     FAINTEST,
     Filter,
@@ -154,7 +155,7 @@ def _with_failed(problem: Problem, known: Quotient, noise: NoiseModel, meter: np
         told = argument(problem, known.Phi, row / size) if size and not plant.Cd[i].any() else None
         rows += [] if told is None else [told]
     E = np.vstack(rows)
-    far = np.eye(len(E)) * (FAR * noise.typical)**2 * noise.interval
+    far = np.eye(len(E)) * (FAR * RELATIVE)**2 * noise.interval
     meter = meter + FAINTEST**2 * np.trace(meter) * np.eye(len(meter))
     none = np.zeros((len(meter), len(E)))
     return (np.vstack([known.E, E]), np.block([[meter, none], [none.T, far]]),

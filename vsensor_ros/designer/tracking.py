@@ -37,7 +37,7 @@ def tracked(problem: Problem, sensor: VirtualSensor) -> VirtualSensor:
     rows = [plant.sensors.index(s) for s in channels]
     reading = noise.reading * problem.y0_size
     given = plant.noise[rows]
-    own = given_or(given / problem.size_of(rows), noise.typical) * problem.size_of(rows)
+    own = given_or(given / problem.size_of(rows)) * problem.size_of(rows)
     W = growth(problem, noise, sensor.Phi, J)
     h, variance = lasts_of(problem, rows, noise.interval), reading**2 * noise.lasts
     meter = np.diag(own**2 * h) + (Q * variance) @ Q.T

@@ -18,6 +18,7 @@ from vsensor_ros.observers.kinds import (
     Tracked,
 )
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
+from vsensor_ros.observers.kinds.functional.convergence import settling_time
 from vsensor_ros.observers.kinds.functional.tracking import (
     deviation_after,
     horizon,
@@ -29,4 +30,5 @@ register(FUNCTIONAL)
 
 __all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
            'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
-           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register']
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
+           'settling_time']

@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
+from vsensor_ros.functions.affine import affine
 from vsensor_ros.functions.expression import (
     Apply,
     check_name,
@@ -25,10 +26,7 @@ from vsensor_ros.functions.expression import (
 )
 from vsensor_ros.plant.plant import suggestion
 from vsensor_ros.plant.plant_yaml import read_yaml
-from vsensor_ros.plant.split import (
-    addends,
-    affine,
-)
+from vsensor_ros.plant.split import addends
 from vsensor_ros.plant.units import NOT_INSTALLED, registry, Units
 
 LARGEST_SECTION = 1000   # states, inputs, ...; keeps a forged file from eating the memory

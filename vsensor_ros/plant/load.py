@@ -123,7 +123,7 @@ def _plant(file: Entries) -> Plant:
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
     plant = Plant.from_matrices(
-        split.A, split.B, C, split.D, sample_time, P=split.P, G=split.G,
+        split.A, split.B, C, D=split.D, sample_time=sample_time, P=split.P, G=split.G,
         nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
         sensors=tuple(sensors), disturbances=tuple(disturbances),
         units=_units(file, states, inputs, disturbances, sensors, measured), initial=initial,

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.functions.affine import affine
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
@@ -24,7 +25,7 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.plant.plant import affine_node
-from vsensor_ros.plant.split import addends, affine, lifted
+from vsensor_ros.plant.split import addends, lifted
 
 PARALLEL = 1e-9  # relative
 FLAT = 1e-6  # of its mean slope: it shows nothing there

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import difflib
 import hashlib
 import re
@@ -32,6 +32,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
 )
 
+DIGITS = 6        # of the numbers in the name of a term
 LARGEST = 1e75    # of an entry: products of four must not overflow
 _ARGUMENT = re.compile(r'w[0-9]+')
 
@@ -83,8 +84,8 @@ class Plant:
     remarks: tuple[str, ...]            # what is to be told of how the file was read
 
     @classmethod
-    def from_matrices(cls, A: Any, B: Any, C: Any, D: Any = None,
-                      sample_time: float | None = None, *, P: Any = None, G: Any = None,
+    def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
+                      sample_time: float | None = None, P: Any = None, G: Any = None,
                       nonlinearities: Sequence[str | NonlinearTerm] | None = None,
                       states: Sequence[str] | None = None, inputs: Sequence[str] | None = None,
                       sensors: Sequence[str] | None = None,
@@ -102,7 +103,7 @@ class Plant:
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
-        Make a plant of arrays.
+        Make a plant of arrays; all after C by keyword.
 
         A (n, n), B (n, m) or None, C (l, n), D (n, d) or None: unknown inputs; one column
         of B, D, P and one row of C may be given flat. P (n, q), G: q arrays (r_i, n) or
@@ -118,6 +119,9 @@ class Plant:
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
         what error lines call the source. Raises BadInput.
         """
+        if fourth:  # D is the feedthrough to all who come from control packages
+            raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
+                           'feedthrough is Cu=, unknown inputs are D=')
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
         for key, mapping in (('units', units), ('parameters', parameters),
@@ -199,6 +203,28 @@ class Plant:
             psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
             total = total + np.multiply.outer(column, psi)
         return total if rho is None else total + self.D @ _beside(rho, x)
+
+    def part(self, states: Sequence[int], sensors: Sequence[int], disturbances: Sequence[int],
+             terms: Sequence[int]) -> Plant:
+        """
+        Return a part of the plant with all its inputs, by the indices of what belongs to it.
+
+        Nothing else may act on these states, nor on what these sensors read.
+        """
+        x, y, rho, q = (list(chosen) for chosen in (states, sensors, disturbances, terms))
+        names = tuple(self.sensors[i] for i in y)
+        return replace(
+            self, states=tuple(self.states[i] for i in x), sensors=names,
+            disturbances=tuple(self.disturbances[i] for i in rho),
+            A=self.A[np.ix_(x, x)], B=self.B[x], C=self.C[np.ix_(y, x)], D=self.D[np.ix_(x, rho)],
+            P=self.P[np.ix_(x, q)], G=tuple(self.G[i][:, x] for i in q),
+            terms=tuple(self.terms[i] for i in q), initial=self.initial[x], noise=self.noise[y],
+            operating_point=self.operating_point[x], Cu=self.Cu[y], Cd=self.Cd[np.ix_(y, rho)],
+            process_noise=self.process_noise[x], ranges=self.ranges[x], slow=self.slow[x],
+            tolerances={name: size for name, size in self.tolerances.items() if name in names},
+            wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
+            curves={name: curve for name, curve in self.curves.items() if name in names},
+            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y])
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -311,11 +337,17 @@ def measures_node(plant: Plant, i: int) -> Node:
 
 
 def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
-    """Return a nonlinear term in the plant's names: 'sqrt(level1 - level2)'."""
+    """Return a nonlinear term in the plant's names, 'sqrt(level1 - level2)', numbers rounded."""
     if not len(g) and text == '1':
         return 'constant'
     arguments = {w: affine_node(row, states) for w, row in zip(argument_names(len(g)), g)}
-    return to_text(substitute(parse(text), arguments))
+    return to_text(_rounded(substitute(parse(text), arguments)))
+
+
+def _rounded(node: Node) -> Node:
+    if isinstance(node, Apply):
+        return Apply(node.function, tuple(map(_rounded, node.arguments)))
+    return Number(float(f'{node.value:.{DIGITS}g}')) if isinstance(node, Number) else node
 
 
 def _beside(values: Any, x: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.functions.affine import affine, OFFSET, plus
 from vsensor_ros.functions.expression import (
     Apply,
     Closure,
@@ -37,7 +38,6 @@ from vsensor_ros.functions.nonlinearity import (
 )
 from vsensor_ros.plant.plant import affine_node, plain_name
 
-_OFFSET = ''    # the key of the constant in an affine form; no name is empty
 _ONE = Number(1.0)
 
 
@@ -56,36 +56,6 @@ class Split:
         """Return it with every rate so many times smaller: per second instead of per minute."""
         return replace(self, A=self.A / factor, B=self.B / factor, D=self.D / factor,
                        P=self.P / factor)
-
-
-def affine(node: Node) -> dict[str, float] | None:
-    """Return the coefficients by name, the offset under '', or None when not affine."""
-    if isinstance(node, Number):
-        return {_OFFSET: node.value} if node.value else {}
-    if isinstance(node, Name):
-        return {node.id: 1.0}
-    parts = [affine(argument) for argument in node.arguments]
-    forms = [form for form in parts if form is not None]
-    if len(forms) < len(parts):
-        return None
-    if node.function == 'neg':
-        return _sum({}, forms[0], -1.0)
-    if node.function in ('+', '-'):
-        return _sum(forms[0], forms[1], 1.0 if node.function == '+' else -1.0)
-    if node.function == '*':
-        for one, other in (forms, forms[::-1]):
-            if set(one) <= {_OFFSET}:
-                return _sum({}, other, one.get(_OFFSET, 0.0))
-    if node.function == '/' and set(forms[1]) == {_OFFSET}:
-        return {key: value / forms[1][_OFFSET] for key, value in forms[0].items()}
-    return None
-
-
-def _sum(a: Mapping[str, float], b: Mapping[str, float], factor: float) -> dict[str, float]:
-    total = dict(a)
-    for key, value in b.items():
-        total[key] = total.get(key, 0.0) + factor * value
-    return {key: value for key, value in total.items() if value}
 
 
 def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Sequence[str],
@@ -108,8 +78,8 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
         A[i] = [linear.get(name, 0.0) for name in states]
         B[i] = [linear.get(name, 0.0) for name in inputs]
         D[i] = [linear.get(name, 0.0) for name in disturbances]
-        if _OFFSET in linear:
-            nonlinear.append((linear[_OFFSET], _ONE))
+        if OFFSET in linear:
+            nonlinear.append((linear[OFFSET], _ONE))
         for factor, core in nonlinear:
             for name in names(substitute(core, definitions)):
                 if name in disturbances:
@@ -150,8 +120,8 @@ def _reduced(node: Node, where: object, key: str) -> Node:
     parts = tuple(_reduced(argument, where, key) for argument in node.arguments)
     node = fold(Apply(node.function, parts), where, key)
     form = affine(node)
-    if form is not None and set(form) <= {_OFFSET}:
-        return Number(form.get(_OFFSET, 0.0))
+    if form is not None and set(form) <= {OFFSET}:
+        return Number(form.get(OFFSET, 0.0))
     return node if _scaled(node)[0] else Number(0.0)
 
 
@@ -160,7 +130,7 @@ def _collect(node: Node, factor: float, linear: dict[str, float],
     # the affine part of factor * node added to linear; the other addends put in nonlinear
     form = affine(node)
     if form is not None:
-        return _sum(linear, form, factor)
+        return plus(linear, form, factor)
     scale, core = _scaled(node)
     if isinstance(core, Apply) and core.function in ('+', '-'):
         left, right = core.arguments
@@ -207,7 +177,7 @@ def lifted(node: Node, states: Sequence[str], inputs: Sequence[str],
         index, ratio = _place(row, rows)
         coefficients.insert(0, ratio)
         variables.insert(0, argument_names(index + 1)[index])
-    return affine_node(coefficients, variables, form.get(_OFFSET, 0.0))
+    return affine_node(coefficients, variables, form.get(OFFSET, 0.0))
 
 
 def _place(row: np.ndarray, rows: list[np.ndarray]) -> tuple[int, float]:

@@ -7,6 +7,7 @@ import textwrap
 
 from vsensor_ros.designer.location import Location
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional import full_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.report import design_text, for_a_time
 
@@ -39,8 +40,10 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
     lines.append('')
     for (fault_set, channel), entry in result.entries.items():
         if blocks is None or fault_set in blocks:
-            lines += [f'{design_text.title(result, fault_set, channel)}: '
-                      f'{design_text.state_of(entry)}']
+            lines += textwrap.wrap(
+                f'{design_text.title(result, fault_set, channel)}: {design_text.state_of(entry)}'
+                f'{design_text.left_out(entry)}', WIDTH, subsequent_indent='    ',
+                break_on_hyphens=False)
             lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
                 entry, result, plant)
             lines.append('')
@@ -92,7 +95,7 @@ def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
     if not isinstance(entry, VirtualSensor):
         return [line for name, value in design_text.facts(entry, unit)
                 for line in _hanging(name, value, 18)]
-    terms = [entry.terms[i].name for i in entry.active]
+    terms = [full_name(i, entry.terms[i].name) for i in entry.active]
     if entry.grade == 'temporary':
         facts = _good_for(entry, result, plant)
     else:

@@ -7,7 +7,16 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from vsensor_ros.designer.location import Location
-from vsensor_ros.observers import Certificate, Design, Entry, Refusal, Rung, VirtualSensor
+from vsensor_ros.observers import (
+    Certificate,
+    Design,
+    Entry,
+    Refusal,
+    Rung,
+    settling_time,
+    VirtualSensor,
+)
+from vsensor_ros.observers.kinds.functional import short_name
 
 NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 SHOWN = 6  # eigenvalues, of many
@@ -114,6 +123,12 @@ def state_of(entry: Entry | Refusal) -> str:
                                'temporary': ' for a time'}.get(entry.grade, '')
 
 
+def left_out(entry: Entry | Refusal) -> str:
+    """Say where in the declared ranges nothing is proved of it, and whether it is unstable."""
+    c = None if isinstance(entry, Refusal) else entry.certificate
+    return f', BUT NOT PROVED {c.uncovered}' if c is not None and c.uncovered else ''
+
+
 def order(entry: Entry) -> str:
     """Say the order and what is proved of it."""
     proof = entry.proof
@@ -151,8 +166,8 @@ def decay(entry: Entry) -> str:
         return ('none: an error that is there at the loss does not die out'
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
-    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in ' \
-           f'{number(3.0 / entry.decay, "s")})'
+    settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
+    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in {number(settled, "s")})'
 
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
@@ -182,7 +197,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
         return ['nothing is certified: it starts from the last good readings of '
                 f'{", ".join(entry.tracking.channels) if entry.tracking else "its channel"}']
     if c is None:
-        terms = ', '.join(entry.terms[i].name for i in entry.active)
+        terms = ', '.join(short_name(i, entry.terms[i].name) for i in entry.active)
         if not terms:
             return ['stable everywhere: its error is linear, and the eigenvalues decide']
         return [f'not certified: judged by the linear part alone, without {terms}']
@@ -191,9 +206,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
     elif c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
-        region = ', '.join(f'{number(low)} <= {of} <= {number(high)}'
-                           for of, low, high in entry.region)
-        where = 'everywhere' if c.status == 'global' else f'only while {region}'
+        where = 'everywhere' if c.status == 'global' else 'only in a region'
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
     if c.lipschitz is not None and entry.order:

@@ -18,6 +18,7 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
+from vsensor_ros.observers.kinds.functional import full_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import design_text, for_a_time, report_simulation
@@ -268,7 +269,7 @@ def _entries(plant: Plant, design: Design,
                      'virtual sensors only.</p>')
     for i, ((fault_set, channel), entry) in enumerate(design.entries.items()):
         heading = (f'<h3>{escape(design_text.title(design, fault_set, channel))}: '
-                   f'{escape(design_text.state_of(entry))}</h3>')
+                   f'{escape(design_text.state_of(entry) + design_text.left_out(entry))}</h3>')
         if isinstance(entry, Refusal):
             body = f'<p>{escape(entry.reason)}.</p>'
             if entry.alternative:
@@ -304,7 +305,8 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
          if plant.disturbances or entry.grade != 'exact' else ''),
         ('noise gain', '' if temporary else f'{design_text.number(entry.noise_gain)}: no error of '
                        'the readings is amplified by more, at any frequency'),
-        ('nonlinear terms', escape(', '.join(entry.terms[i].name for i in entry.active))),
+        ('nonlinear terms', escape(', '.join(full_name(i, entry.terms[i].name)
+                                             for i in entry.active))),
         ('found as', escape(entry.method)),
     ]
     text = _facts(facts)

@@ -14,7 +14,7 @@ import warnings
 import numpy as np
 
 from vsensor_ros.bank import Bank
-from vsensor_ros.observers import Design, VirtualSensor
+from vsensor_ros.observers import Design, settling_time, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.report.hold import growth, held
 from vsensor_ros.simulate import simulate
@@ -195,7 +195,7 @@ def _estimates(plant: Plant, design: Design, entry: VirtualSensor, period: int, 
 
 def _duration(plant: Plant, entry: VirtualSensor) -> float:
     """Return how long [s] a run is to be, by what there is to see."""
-    return max(SHOWN / entry.decay, 4.0 / _mean_rate(plant))
+    return max(SHOWN / 3.0 * max(settling_time(entry), 3.0 / entry.decay), 4.0 / _mean_rate(plant))
 
 
 def _grid(plant: Plant, entry: VirtualSensor, longest: float = np.inf) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,9 @@ from scipy.linalg import expm
 from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 
 _LEFT = 0.01  # of the largest: a start of which no more is left counts as forgotten
+_SETTLED = 0.05  # of the largest: of which no more is left, that has settled
+_DIED = 1e-4  # of the largest: no more need be left where one stops to look
+_LONGER = 24  # octaves that are added for it, at most
 _HORIZON = 50.0  # time constants that are looked at
 _OCTAVES = 20  # of time before the horizon that are looked at, too
 _PHASES = 8  # of half a turn
@@ -34,7 +37,7 @@ class Convergence:
     left: np.ndarray  # (T,)
     known: bool  # the covariance of the start
     proved: bool  # not only at the operating point
-    slowest: float  # s, the largest time constant
+    slowest: float  # s, the largest time constant, of what is left as of N
 
     def deviation(self, age: float) -> float:
         """Return the standard deviation that is left at an age [s]."""
@@ -100,16 +103,48 @@ def converge(v: VirtualSensor) -> Convergence:
         rate = _slowest_rate(v)
         if not _NEVER < rate < np.inf:
             return _UNKNOWN
-        times, rows = _response(v, rate)
-        values, vectors = np.linalg.eigh(start)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        left = np.linalg.norm(rows @ root, axis=2).max(axis=1)
+        times, left = _linear_left(v, rate)
     if not np.isfinite(left).all():
         return _UNKNOWN
-    left = np.maximum.accumulate(left[::-1])[::-1]
     noise = 0.0 if v.noise is None or v.start is None else v.noise.error
-    warm_up = _first(times, left, max(noise, _LEFT * left[0]))
-    return Convergence(warm_up, times, left, v.start is not None, proved and within, 1.0 / rate)
+    warm_up = _first(v, times, left, max(noise, _LEFT * left[0]))
+    # a chain of dead times has no slow mode, and yet takes its time
+    slowest = max(1.0 / rate, _first(v, times, left, _SETTLED * left[0]) / -np.log(_SETTLED))
+    return Convergence(warm_up, times, left, v.start is not None, proved and within, slowest)
+
+
+def settling_time(v: VirtualSensor) -> float:
+    """
+    Return when [s] no more than 5 % of an error in the start is left; inf: it does not die out.
+
+    Of the largest that there is in the estimate, of a linear error: by exp(N t) or the powers of
+    N themselves, because a chain of lags or of dead times takes longer than its modes tell.
+    """
+    if not v.order:
+        return 0.0
+    rate = _slowest_rate(v)
+    if not _NEVER < rate < np.inf:
+        return np.inf
+    settled = 0.0
+    for row in v.Cv:
+        times, left = _linear_left(replace(v, Cv=row[None, :]), rate)
+        if not np.isfinite(left).all():
+            return np.inf
+        settled = max(settled, _first(v, times, left, _SETTLED * left[0]))
+    return settled
+
+
+def _linear_left(v: VirtualSensor, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return times [s] (T,), and what is the most at or after them of a linear error (T,)."""
+    times, rows = _response(v, rate)
+    left = np.linalg.norm(rows @ _root(v), axis=2).max(axis=1)
+    return times, np.maximum.accumulate(left[::-1])[::-1]
+
+
+def _root(v: VirtualSensor) -> np.ndarray:
+    """Return a square root (k, k) of the covariance of the start."""
+    values, vectors = np.linalg.eigh(np.eye(v.order) if v.start is None else v.start)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _slowest_rate(v: VirtualSensor) -> float:
@@ -124,7 +159,16 @@ def _response(v: VirtualSensor, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Return times [s] (T,), and Cv exp(N t) then and within half a turn of it (T, .., k)."""
     times, octaves = _times(rate, v.sample_time)
     one = v.N if v.sample_time is not None else expm(v.N * times[1])
-    return times, _turned(v) @ _powers(one, octaves)
+    turned, powers = _turned(v), _powers(one, octaves)
+    rows = turned @ powers
+    octave, last = powers[-8:], rows[-8:]
+    for _ in range(_LONGER):
+        if not np.abs(last).max() > _DIED * np.abs(rows).max():
+            break
+        octave = octave @ octave
+        last = turned @ octave
+        rows, times = np.concatenate([rows, last]), np.concatenate([times, 2.0 * times[-8:]])
+    return times, rows
 
 
 def _times(rate: float, sample_time: float | None) -> tuple[np.ndarray, int]:
@@ -168,16 +212,21 @@ def _turned(v: VirtualSensor) -> np.ndarray:
     return np.array([v.Cv[0] @ np.linalg.matrix_power(v.N, step) for step in steps])
 
 
-def _first(times: np.ndarray, left: np.ndarray, enough: float) -> float:
-    """Return the first time at which what is left, on straight lines, is enough."""
+def _first(v: VirtualSensor, times: np.ndarray, left: np.ndarray, enough: float) -> float:
+    """Return the first time [s] at which what is left is enough; of a discrete one, a sample."""
     below = np.flatnonzero(left <= enough)
     if not below.size:
         return float('inf')
     i = int(below[0])
     if i == 0:
         return 0.0
-    part = (left[i - 1] - enough) / (left[i - 1] - left[i])
-    return float(times[i - 1] + part * (times[i] - times[i - 1]))
+    last, here = float(left[i - 1]), float(left[i])
+    # as if it died out evenly; at once where nothing is left
+    part = np.log(last / enough) / np.log(last / here) if here > 0.0 < enough else 1.0
+    at = times[i - 1] + part * (times[i] - times[i - 1])
+    if v.sample_time is None:
+        return float(at)
+    return float(np.ceil(at / v.sample_time * (1.0 - 1e-12))) * v.sample_time
 
 
 def reading_gains(v: VirtualSensor) -> np.ndarray:

@@ -69,6 +69,9 @@ def _certificate_record(c: Certificate) -> dict[str, Any]:
                     'high': or_null(high)} for term, argument, low, high in c.region],
         'lipschitz': None if c.lipschitz is None else [or_null(side) for side in c.lipschitz],
         'reason': c.reason,
+        **({'uncovered': c.uncovered} if c.uncovered else {}),
+        **({'where': [{'name': name, 'low': or_null(low, -INF), 'high': or_null(high)}
+                      for name, low, high in c.where]} if c.where else {}),
     }
 
 
@@ -124,7 +127,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
 
 
 def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> Certificate:
-    reader.only(('status', 'rate', 'bound', 'S', 'region', 'lipschitz', 'reason'))
+    reader.only(('status', 'rate', 'bound', 'S', 'region', 'lipschitz', 'reason',
+                 'uncovered', 'where'))
     status = reader.word('status', ('global', 'region', 'none'))
     rate = reader.size('rate', infinite=True)
     if status == 'none' and rate:
@@ -142,7 +146,15 @@ def _read_certificate(reader: CheckedObject, v: VirtualSensor, version: int) -> 
                            'which arguments the region of this older file bounds')
     if version > 3 and status != 'none' and not _is_definite(S):
         raise reader.fail('S', 'is not symmetric and positive definite')
-    return Certificate(status, rate, bound, S, region, lipschitz, why)
+    left = reader.text('uncovered') if 'uncovered' in reader.record else ''
+    return Certificate(status, rate, bound, S, region, lipschitz, why, left, _read_where(reader))
+
+
+def _read_where(reader: CheckedObject) -> tuple[tuple[str, float, float], ...]:
+    places = reader.objects('where') if 'where' in reader.record else []
+    for place in places:
+        place.only(('name', 'low', 'high'))
+    return tuple((place.text('name'), *_read_limits(place)) for place in places)
 
 
 def _read_region(reader: CheckedObject, v: VirtualSensor) -> tuple[Limit, ...]:

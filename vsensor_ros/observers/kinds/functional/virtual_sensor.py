@@ -15,7 +15,7 @@ import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
-from vsensor_ros.observers.kinds.functional.argument_name import argument_name
+from vsensor_ros.observers.kinds.functional.argument_name import argument_place, together
 from vsensor_ros.observers.knowledge import Certificate, Noise, Proof, Rung
 
 
@@ -137,11 +137,13 @@ class VirtualSensor:
 
     @property
     def region(self) -> tuple[tuple[str, float, float], ...]:
-        """Where its certificate holds: arguments and commands by name, with their limits."""
-        limits = () if self.certificate is None else self.certificate.region
-        return tuple((self.inputs[argument] if term is None
-                      else argument_name(self.terms[term], argument), low, high)
-                     for term, argument, low, high in limits)
+        """Where its certificate holds: states, sums of states and commands, with their limits."""
+        c = self.certificate
+        if c is None or c.where:
+            return () if c is None else c.where
+        return together((self.inputs[argument], low, high) if term is None
+                        else argument_place(self.terms[term], argument, low, high)
+                        for term, argument, low, high in c.region)
 
 
 def _freeze(data: Tracking | VirtualSensor) -> None:

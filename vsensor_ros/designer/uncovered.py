@@ -1,0 +1,64 @@
+"""Where in the declared ranges of a plant nothing is proved of a virtual sensor, in words."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from vsensor_ros.designer.error_in_box import used_inputs, used_states
+from vsensor_ros.designer.error_system import decay_rate
+from vsensor_ros.designer.observer import linearised
+from vsensor_ros.observers import VirtualSensor
+from vsensor_ros.plant.plant import Plant
+
+MOST_ENDS = 10  # sides of the declared box whose 2**10 vertices are tried
+
+Side = tuple[str, bool, int, tuple[float, float]]  # name, whether an input, index, range
+
+
+def uncovered(plant: Plant, sensor: VirtualSensor,
+              box: tuple[np.ndarray, np.ndarray] | None) -> str:
+    """
+    Say what of the declared ranges a box (n, 2), (m, 2) leaves out, and where it is unstable.
+
+    None is the empty box. '' where nothing is left out or nothing declared.
+    """
+    sides = _declared(plant, sensor)
+    parts = ['anywhere in the declared ranges'] if box is None and sides else []
+    for name, is_input, j, (low, high) in sides if box is not None else ():
+        assert box is not None
+        least, most = box[is_input][j]
+        ends = [f'{word} {end:.4g}' for word, end, beyond in (
+            ('below', least, least > low), ('above', most, most < high)) if beyond]
+        if ends:
+            unit = plant.units.get(name, '')
+            parts.append(f'with {name} {" or ".join(ends)} {unit}'.rstrip())
+    if not parts:
+        return ''
+    worst = unstable_at(plant, sensor)
+    return ', '.join(parts) + (f'; unstable at {worst}' if worst else '')
+
+
+def unstable_at(plant: Plant, sensor: VirtualSensor) -> str:
+    """Name the vertex of the declared ranges at which an error grows most, ''; frozen slopes."""
+    sides = _declared(plant, sensor)[:MOST_ENDS]
+    worst, where = 0.0, ''
+    for ends in product(*([end for end in limits if np.isfinite(end)] for *_, limits in sides)):
+        point = plant.operating_point.copy(), plant.operating_input.copy()
+        for (_, is_input, j, _), end in zip(sides, ends):
+            point[is_input][j] = end
+        grows = -decay_rate(linearised(plant, sensor, *point)[0], sensor.sample_time)
+        if grows > worst:
+            at = [f'{name} = {end:.4g} {plant.units.get(name, "")}'.rstrip()
+                  for (name, *_), end in zip(sides, ends)]
+            worst, where = grows, f'{", ".join(at)}, where an error grows at {grows:.3g} 1/s'
+    return where
+
+
+def _declared(plant: Plant, sensor: VirtualSensor) -> list[Side]:
+    """List what stands in the feeding terms and has a range."""
+    every = [*((plant.states[j], False, j, plant.ranges[j]) for j in used_states(plant, sensor)),
+             *((plant.inputs[j], True, j, plant.input_range[j]) for j in used_inputs(sensor))]
+    return [(name, is_input, j, (float(low), float(high)))
+            for name, is_input, j, (low, high) in every if np.isfinite((low, high)).any()]
