@@ -63,12 +63,14 @@ def _steep(plant: Plant) -> Iterator[str]:
         inner = [part.arguments[0] for part in walk(parse(term.text))
                  if isinstance(part, Apply) and part.function == 'tanh']
         inner = [node for node in inner if abs(gradient(node, at, arguments)[0]) < NEAR]
+        if not inner:
+            continue
         slope = slope_at(term, w, plant.inputs, plant.operating_input)
         more = np.outer(column, slope @ g)
         damping = np.abs(np.diag(more))
         rest = float(np.abs(np.linalg.eigvals(plant.A - more)).max(initial=0.0))
         state = int(np.argmax(damping))
-        if not inner or damping[state] <= STEEP * rest or not damping[state]:
+        if damping[state] <= STEEP * rest or not damping[state]:
             continue
         yield (f'{term.name}: the operating point is where it is steep: its slope adds '
                f'{damping[state]:.3g} 1/s to {plant.states[state]}, all else has {rest:.3g} 1/s, '
