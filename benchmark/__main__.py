@@ -13,7 +13,16 @@ from statistics import median
 import sys
 import time
 
-from benchmark import bank, designer, estimators, healthy_path, isolation, jitter, memory
+from benchmark import (
+    bank,
+    designer,
+    estimators,
+    healthy_path,
+    isolation,
+    jitter,
+    memory,
+    tracking,
+)
 from benchmark.load import KINDS, Load
 from benchmark.rig import set_up
 from benchmark.row import Row
@@ -27,7 +36,7 @@ TICKING = 6.0  # s, each round
 TICKING_ROUNDS = 2
 IDLE = 2, 20.0  # topics, Hz
 TICKS = 1000
-PARTS = ('replacer', 'bank', 'estimators', 'designer')
+PARTS = ('replacer', 'bank', 'tracking', 'estimators', 'designer')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,6 +90,8 @@ def measure(load: Load, only: Collection[str], states: Sequence[int],
     if 'replacer' in only:
         replacer(load.message, rows, details)
     rows += ticks
+    if 'tracking' in only:
+        rows += tracking.measure(TICKS, progress=progress)
     if 'estimators' in only:
         rows += estimators.measure(progress)
     if 'designer' in only:

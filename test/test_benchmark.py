@@ -26,6 +26,7 @@ from benchmark import (
     jitter,
     memory,
     rig as rigs,
+    tracking,
 )
 from benchmark.__main__ import main, table
 from benchmark.load import COUNTED, KINDS, Load
@@ -102,6 +103,16 @@ def test_tick_of_the_bank():
     assert [row.what for row in rows] == [
         '1 virtual sensor, linear', '5 virtual sensors, linear',
         '1 virtual sensor, nonlinear', '5 virtual sensors, nonlinear']
+
+
+def test_tick_with_tracking(monkeypatch):
+    monkeypatch.setattr(tracking, 'LOSSES', 1)
+    rows = tracking.measure(10, (2,))
+    assert_numbers(rows)
+    assert [(row.what, row.bar) for row in rows] == [
+        (f'2 virtual sensors, {kind}', bar) for bar in (2.0, 2.0, None)
+        for kind in ('linear', 'nonlinear')]
+    assert len({row.group for row in rows}) == 3
 
 
 def test_estimators_beside_filters(monkeypatch):

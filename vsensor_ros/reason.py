@@ -66,6 +66,7 @@ SENTENCES: dict[str, Sentence] = {
     'or it started anew since',
     'tracked too long ago': 'its last good state is {seconds:.1f} s old, and only {kept:.1f} s '
     'are kept',
+    'catching up': 'is being brought to now from its last good state, some steps at each tick',
     'track lost': 'readings that it needs were missing since its channel was lost',
     'served its time': 'served its time, until its channel is believed again: {why}',
     'beyond the tolerance': 'its standard deviation {deviation:.3g} is above the tolerance '

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vsensor_ros.bank import Bank, composite
+from vsensor_ros.bank import Bank, composite, steps
 from vsensor_ros.observers import Noise, Told
 
 MS = 1_000_000
@@ -158,6 +158,69 @@ def test_a_late_reading_of_what_it_reads_counts(bench, made):
     late.until(4020)
     prompt.until(4020)
     assert late.bank.estimate(*KEY) == pytest.approx(prompt.bank.estimate(*KEY), abs=1e-12)
+
+
+def test_a_loss_steps_what_flies_alone(bench, made, monkeypatch):
+    run = Run(bench, made, 6.0).until(3000)
+    monkeypatch.setattr(run.bank, '_next', lambda state: pytest.fail('all were stepped anew'))
+    run.bank.distrust({'angle'})
+    assert run.bank.ready(*KEY) and run.bank.started(*KEY) == 2480 * MS
+
+
+def test_a_long_way_to_now_is_gone_over_several_ticks_and_leads_to_the_same(
+        bench, made, monkeypatch):
+    """Late readings come in on the way, and soon after."""
+    said = []
+    for at_once in (1000, 3):
+        monkeypatch.setattr(steps, 'AT_ONCE', at_once)
+        run = Run(bench, made, 8.0).until(3000)
+        run.bank.distrust({'angle'})
+        waited = []
+        for k in range(151, 170):
+            run.k = k
+            # the tacho is late twice: by then the way leads through what it says, or it did
+            late = {151: (), 152: (), 155: (151, 152, 153, 154, 155), 153: (), 154: (),
+                    163: (), 164: (), 165: (163, 164, 165)}.get(k, (k,))
+            for i in late:
+                run.bank.take('tacho', i * PERIOD * MS, run.y[i, 1])
+            run.bank.advance(k * PERIOD * MS)
+            waited.append(not run.bank.ready(*KEY))
+            if waited[-1]:
+                assert run.bank.why_not(*KEY).code == 'catching up'
+                assert run.bank.estimate(*KEY) is None and run.bank.deviation(*KEY) == np.inf
+                assert run.bank.remaining(*KEY, 1.0) == 0.0
+        # 26 steps: 3 at the loss, and 3 more than there are new ones at each tick
+        assert sum(waited) == (0 if at_once > 3 else 6)
+        run.until(4000)
+        said.append((run.bank.estimate(*KEY), run.deviation, run.bank.started(*KEY)))
+    assert said[0] == said[1]
+
+
+def test_some_runs_are_stepped_as_all_are(bench, made):
+    """To the last bit, be they linear, with terms, or of several kinds; rows may repeat."""
+    tank = bench.tank([3.0, 1.0])
+    rubbing = bench.servo(-1.0)
+    exact = bench.design(bench.encoder(grade='exact'), names=NAMES)
+    batches = [
+        composite.batch_of(bench.design(tank, inputs=tank.inputs), 1 / RATE, None),
+        composite.batch_of(bench.design(rubbing, names=('y1', 'y2', 'y3'), inputs=('u',)),
+                           1 / RATE, None),
+        composite._composed([composite.batch_of(d, 1 / RATE, None) for d in (exact, made)], 2, 0)]
+    rng = np.random.default_rng(0)
+    for batch, (L, m) in zip(batches, ((2, 2), (3, 1), (2, 0))):
+        R, known = len(batch.runs_on), L + m
+        z = rng.uniform(0.1, 1.0, (R, batch.width))
+        before, after = (Told(rng.uniform(0.1, 1.0, L), np.ones(known, dtype=bool),
+                              rng.standard_normal(m)) for _ in range(2))
+        commands = rng.standard_normal((3, m))
+        rows = np.array([R - 1, 0, R - 1])
+        some, outside = batch.step_of(rows)(z[rows], before, after, commands)
+        everyone, out = batch.step(z, before, after, commands)
+        assert (some == everyone[rows]).all() and (outside == out[rows]).all()
+        said = batch.estimates(z[:batch.size], after.y, after.held)
+        for output in range(len(batch.keys)):
+            one = batch.estimate(output, z[batch.of[output]], after.y, after.held)
+            assert one == pytest.approx(said[output], abs=1e-14)
 
 
 def test_why_it_does_not_serve(bench, made):

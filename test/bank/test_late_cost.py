@@ -99,5 +99,5 @@ def test_data_that_is_late_now_and_then_is_not_put_off(make_bank):
         if k % 10 == 5:
             bank.take('y1', START + (k - 5) * bank.period, np.cos(0.013 * (k - 5)))
         bank.advance(START + k * bank.period)
-        put_off += bank._redo is not None
+        put_off += bank._late.waits
     assert put_off == 0

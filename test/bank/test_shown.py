@@ -1,5 +1,7 @@
 """Sensors that show an offset or a curve, and dead times: beside the simulated truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -159,3 +161,9 @@ def test_a_late_sensor_is_silent_as_soon_as_a_prompt_one(tmp_path):
     for late in (400_000_000, 600_000_000):
         assert [bank.silent(name, 10**9 + late) for name in ('first', 'second')] == \
             [late > 500_000_000] * 2
+
+
+def test_what_wraps_has_no_curve_but_an_offset(tmp_path):
+    found = design(loaded(tmp_path, BATTERY))
+    with pytest.raises(ValueError, match='voltage: shows a curve, and wraps; write it without'):
+        Bank(replace(found, wrap=({'voltage': 6.28},)), RATE)

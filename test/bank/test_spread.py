@@ -15,21 +15,25 @@ ROW = np.array([1.0, 0.0])
 class One:
     """A batch of one free run."""
 
-    width = 2
+    width, runs_on = 2, np.zeros((1, 0), dtype=bool)
+
+    def __init__(self, step):
+        self._step = step
 
     def bent(self, i):
         return Bent(P, W, ROW, 1e-6)
 
+    def step_of(self, rows):
+        return lambda z, *_: (self._step(z), np.zeros(len(z), dtype=bool))
+
 
 def grown(step, z, steps):
-    spreads = Spreads(One(), np.array([0]))
+    spreads = Spreads(One(step), np.array([0]))
     running, since = np.array([True]), np.array([0])
-    state = State(0, z, running, since, since, since, None)
-    state = spreads.begin(state, state)
+    state = spreads.begin(State(0, z, running, since, since, since, None))
     for k in range(steps):
-        ended = step(state.z)
-        state = state._replace(tick=k + 1, z=ended,
-                               spread=spreads.step(state, ended, step))
+        ended, _, spread = spreads.step((0,), k % 2 == 0, state, None, None)
+        state = state._replace(tick=k + 1, z=ended, spread=spread)
     return spreads, state
 
 

@@ -33,7 +33,7 @@ def faulty(*names):
 class Machine:
     """Two sensors, y2 twice y1, in one message or each in its own; time goes on by periods."""
 
-    def __init__(self, bench, shared=False, simulated=True, wrap=(), **live):
+    def __init__(self, bench, shared=False, simulated=True, wrap=(), told=None, **live):
         twice = [bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',)),
                  bench.virtual_sensor([], [], Q=[[0.5]], fault_set=('y1',), healthy=('y2',))]
         settings = {'without_estimate': 'stop', 'time_constant': 0.0,
@@ -42,7 +42,7 @@ class Machine:
         streams = (StreamPlan(('y1', 'y2'), '/in', '/out', True),) if shared else (
             StreamPlan(('y1',), '/y1_raw', '/y1', True),
             StreamPlan(('y2',), '/y2_raw', '/y2', True))
-        self.setup = Setup(replace(bench.design(*twice), wrap=wrap), 100.0,
+        self.setup = Setup(replace(bench.design(*twice), wrap=wrap, **(told or {})), 100.0,
                            {'y1': 0.5, 'y2': 0.5}, 10.0, streams, simulated, Live(**settings))
         self.engine = Engine(self.setup)
         self.shared, self.now, self.sent = shared, 1000 * SECOND, []

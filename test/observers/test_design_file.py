@@ -15,6 +15,7 @@ import pytest
 
 from vsensor_ros import Design
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers import (
     Certificate,
@@ -78,7 +79,11 @@ def example():
     return Design('servo', '0' * 64, ('x1', 'x2', 'x3'), ('u1',), SENSORS, {'y1': 'rad'}, None,
                   {(e.fault_set, e.channel): e for e in entries}, ('v', 'w'),
                   np.array([[0.0], [1.0 / 3.0], [-2.0]]), {'y3': 0.1}, {'y1': (-np.pi, 0.3)},
-                  wrap=({'y1': 2.0 * np.pi, 'y3': -360.0}, {'y2': 1.0 / 3.0}))
+                  wrap=({'y1': 2.0 * np.pi, 'y3': -360.0},),
+                  curves={'y1': Curve(1.0 / 3.0), 'y2': Curve(
+                      0.0, 'smooth_table(w1, 0, 1, 1.5, 3) + w1/3', 0.0, 2.0,
+                      {'u1': -1.0 / 3.0})},
+                  delays={'u1': 0.2, 'y3': 1.0 / 3.0})
 
 
 @pytest.fixture(name='written')
@@ -105,7 +110,8 @@ def refusal_line(path):
 def test_what_is_loaded_is_what_was_saved_to_the_last_digit(written):
     saved, loaded = example(), Design.load(written)
     for name in ('plant_name', 'plant_hash', 'states', 'inputs', 'sensors', 'units',
-                 'sample_time', 'fault_sets', 'wanted', 'tolerances', 'ranges', 'wrap'):
+                 'sample_time', 'fault_sets', 'wanted', 'tolerances', 'ranges', 'wrap', 'curves',
+                 'delays'):
         assert getattr(loaded, name) == getattr(saved, name)
     bits(loaded.Cu, saved.Cu)
     assert not loaded.Cu.flags.writeable and not saved.Cu.flags.writeable
@@ -325,6 +331,30 @@ BROKEN = {
                     'plant.wrap[1].y1: stands there twice'),
     'wrap without end': (lambda r: r['plant'].update(wrap=[{'y1': 10**400}]),
                          'plant.wrap[0].y1: is not finite'),
+    'curve of nobody': (lambda r: r['plant'].update(curves={'y9': {'offset': 1.0}}),
+                        'plant.curves.y9: is not a key'),
+    'curve of nothing': (lambda r: r['plant']['curves'].update(y1={}),
+                         'plant.curves.y1.function: is missing'),
+    'curve that runs': (
+        lambda r: r['plant']['curves']['y2'].update(function="__import__('os')"),
+        'plant.curves.y2: the function'),
+    'curve that turns back': (lambda r: r['plant']['curves']['y2'].update(function='(w1 - 1)**2'),
+                              'plant.curves.y2: cannot be inverted'),
+    'table that turns back': (
+        lambda r: r['plant']['curves']['y2'].update(function='table(w1, 0, 1, 0, 2)'),
+        'the table has points that do not rise in x'),
+    'table of unknowns': (
+        lambda r: r['plant']['curves']['y2'].update(function='table(w1, 0, 1, w1, 2)'),
+        'the table holds a point that is no number'),
+    'curve without end': (lambda r: r['plant']['curves']['y2'].update(high=1e999), 'finite'),
+    'curve beside nobody': (lambda r: r['plant']['curves']['y2'].update(beside={'u9': 1.0}),
+                            'plant.curves.y2.beside.u9: is not'),
+    'offset beside a curve': (lambda r: r['plant']['curves']['y2'].update(offset=1.0),
+                              'is not a key'),
+    'delay of nobody': (lambda r: r['plant'].update(delays={'y9': 1.0}),
+                        'plant.delays.y9: is not'),
+    'delay of nothing': (lambda r: r['plant'].update(delays={'y1': 0.0}),
+                         'plant.delays.y1: must be positive'),
     'tracking of null': (lambda r: last(r).update(tracking=None), 'tracking: must be an object'),
     'temporary without tracking': (lambda r: last(r).pop('tracking'), 'tracking: is missing'),
     'tracking that leaves it unstable': (
@@ -408,7 +438,9 @@ def test_a_file_of_version_2_is_read_and_nothing_is_known_of_its_starts(written)
     def older(record):
         as_version_3(record)
         record.update(version=2)
-        del record['plant']['wrap'], record['plant']['Cu'], record['entries'][2]['start']
+        for key in ('wrap', 'Cu', 'curves', 'delays'):
+            del record['plant'][key]
+        del record['entries'][2]['start']
     rewrite(written, older)
     read = Design.load(written)
     assert read.Cu is None and all(v.start is None for v in read.virtual_sensors)

@@ -158,7 +158,7 @@ def test_flat_columns_and_rows(tmp_path):
 
 def test_both_examples_of_the_documentation_are_one_plant(tmp_path):
     text = (ROOT / 'docs/plant_file.md').read_text()
-    whole, matrices = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
+    whole, matrices, *_ = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
     other = re.sub(r'dynamics:.*?(?=sensors:)', lambda _: matrices, whole, flags=re.DOTALL)
     assert 'matrices:' in other and 'dynamics:' not in other
     plants = [load_plant(written(tmp_path, each)) for each in (whole, other)]
@@ -166,6 +166,32 @@ def test_both_examples_of_the_documentation_are_one_plant(tmp_path):
     assert plants[0].B.tolist() == [[0], [25]] and plants[0].noise[0] == 0.001
     assert plants[0].Cu.tolist() == [[0], [0], [2]] and plants[0].process_noise[1] == 0.01
     assert plants[0].ranges[1].tolist() == [-50, 50]
+
+
+def test_the_other_examples_of_the_documentation_are_read(tmp_path):
+    text = (ROOT / 'docs/plant_file.md').read_text()
+    sensors, definitions = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)[2:]
+    plant = load_plant(written(tmp_path, """
+name: all
+time: continuous
+parameters: {level_max: 2, mass: 3}
+states:
+  level: {}
+  charge: {range: [0.05, 1], initial: 0.5}
+  temperature: {range: [0, 90], initial: 20}
+inputs: {force: {}, current: {}}
+dynamics: {level: force, charge: -current/3600, temperature: -temperature}
+""" + sensors))
+    assert set(plant.curves) == set(plant.sensors)
+    assert plant.curves['current_loop'].shown(8.0) == 12.0
+    plant = load_plant(written(tmp_path, """
+name: all
+time: continuous
+states: {concentration: {}, temperature: {initial: 100}, flow: {}}
+inputs: {feed: {}}
+sensors: {y: concentration}
+""" + definitions + '  temperature: -temperature\n  flow: pump - flow\n'))
+    assert [term.name for term in plant.terms] == ['rate*concentration', 'pump']
 
 
 def test_a_sensor_may_read_inputs_and_disturbances(tmp_path):
@@ -298,6 +324,9 @@ def test_lookup_tables_in_equations_and_sensors(tmp_path, shape):
 
 CHANGES = [
     ('dynamics:', 'definitions: {level1: 2}\ndynamics:', 'definitions: level1 is also one of the'),
+    ('dynamics:', 'definitions:\n  d0: exp(level1)\n' + ''.join(
+        f'  d{i + 1}: d{i}*d{i}\n' for i in range(99)) + 'dynamics:',
+     'is too large with its definitions written out'),
     ('dynamics:', 'definitions: {f: g}\ndynamics:', "definitions.f: unknown name 'g'"),
     ('dynamics:', 'definitions: {f: {unit: m}}\ndynamics:', 'definitions.f.value: is missing'),
     ('measures: level1,', 'measures: level1, table: [[0, 1], [0, 2]],',

@@ -3,7 +3,7 @@
 from vsensor_ros.bank.angle import Angle
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.flights import GUARD, LONGEST_GUARD
 from vsensor_ros.bank.record import Rehearsal
-from vsensor_ros.bank.steps import GUARD, LONGEST_GUARD
 
 __all__ = ['GUARD', 'LONGEST_GUARD', 'Angle', 'Bank', 'End', 'Rehearsal']

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 import math
+from types import MappingProxyType
 
 import numpy as np
 
@@ -112,7 +113,8 @@ class Angles(Samples):
 
 
 def samples_of(turns: Mapping[str, float], angles: Mapping[str, Angle],
-               ages: Mapping[str, int], curves: Mapping[str, Curve]) -> dict[str, Samples]:
+               ages: Mapping[str, int],
+               curves: Mapping[str, Curve] = MappingProxyType({})) -> dict[str, Samples]:
     """Return empty samples of sensors of one angle; turns: of each, negative if it runs back."""
     found = {name: Angles(angles[name], ages[name],
                           curves[name].offset if name in curves else 0.0) for name in turns}

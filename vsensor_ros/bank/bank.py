@@ -11,13 +11,15 @@ from types import MappingProxyType
 import numpy as np
 
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.deviations import Deviations
 from vsensor_ros.bank.record import Rehearsal
-from vsensor_ros.bank.state import State
+from vsensor_ros.bank.serving import OUT_OF_LINE, Serving
+from vsensor_ros.bank.shown import Shown
+from vsensor_ros.bank.state import stacked, State
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, Entry, Key, Refusal
 from vsensor_ros.reason import Reason
 
-_OUT_OF_LINE = 4.0  # standard deviations: a residual beyond is a fault that nobody has named yet
 INDEPENDENT, FREE = '', 'from the last good readings'  # runs
 
 
@@ -40,16 +42,16 @@ class Bank(Steps):
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
         self._of: list[int] = self._batch.of.tolist()
-        tracked = {t.own: i for i, t in enumerate(self._batch.tracked)}
-        # by output: which of the tracked it is of, and its longest guard [s]
-        self._tracked = {output: tracked[row] for output, row in enumerate(self._of)
-                         if row in tracked}
-        self._guard = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
-                       for t in self._batch.tracked]
-        # by output of a sensor that shows a curve: it, and what that adds of commands (m,)
-        self._curves = {i: (design.curves[name], np.array(
-            [design.curves[name].beside.get(u, 0.0) for u in design.inputs]))
-            for i, (_, name) in enumerate(self._batch.keys) if name in design.curves}
+        guards = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
+                  for t in self._batch.tracked]
+        self._serving = Serving(self._batch, self._runs, self._past, guards, self.period * 1e-9,
+                                self._short_way)
+        self._deviations = Deviations(
+            self._batch, self._runs, self._spreads, self._measured, self._past,
+            self.period * 1e-9, lambda tick: self._told.ages_at(self._at(tick)), self._widening)
+        self._shown = Shown(design, self._batch.keys)
+        # of which state and serving runs it is known what they say (O,)
+        self._known: tuple[State, np.ndarray, np.ndarray] | None = None
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -63,7 +65,9 @@ class Bank(Steps):
         if channel in self._shifts:  # it would speak of earlier
             said = self.recall(fault_set, channel, self._at(self._past[-1].tick))
             return None if said is None else said[0]
-        value = self._shown(output, self._linear_now(output), self._past[-1])
+        value = float(self._estimates_now()[output])
+        if output in self._shown:
+            value = self._shown.value(output, value, self._past[-1].told.held)
         return value if math.isfinite(value) else None
 
     def recall(self, fault_set: Iterable[str], channel: str, time: int,
@@ -81,7 +85,7 @@ class Bank(Steps):
         steps, rest = divmod(time - self._at(self._past[0].tick), self.period)
         last = len(self._past) - 1
         before, after = self._past[min(steps, last)], self._past[min(steps + 1, last)]
-        row = self._row(output)
+        row = self._serving.row(output)
         if not (before.running[row] and after.running[row]):
             return None
         there = float(self._estimates_at(before)[output])
@@ -90,25 +94,26 @@ class Bank(Steps):
             value += rest / self.period * (float(self._estimates_at(after)[output]) - there)
         if not math.isfinite(value):
             return None
-        deviation = self._deviation(output, before, self._unseen_at(before))
+        deviation = self._deviations.of_run_at(output, row, before)
         interval = self._batch.interval(output, self._runs.serving(before.z), before.told,
-                                        self._age(output, before))
-        if output in self._curves:
-            deviation *= self._steepness(output, value, before)
-            interval = self._shown_interval(output, interval, before)
-            value = self._shown(output, value, before)
+                                        self._serving.age(output, before))
+        if output in self._shown:
+            held = before.told.held
+            deviation *= self._shown.steepness(output, value, held)
+            interval = self._shown.interval(output, interval, held)
+            value = self._shown.value(output, value, held)
         return value, deviation, interval
 
     def started(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the time [ns] since which the virtual sensor has been running, or None."""
         output = self._running(fault_set, channel)
         return None if output is None else self._at(
-            int(self._past[-1].since[self._row(output)]))
+            int(self._past[-1].since[self._serving.row(output)]))
 
     def run(self, fault_set: Iterable[str], channel: str) -> str:
         """Return which run says it: the one that never read the channel, or one that did."""
         output = self._output.get((frozenset(fault_set), channel))
-        return FREE if output is not None and self._is_free(output) else INDEPENDENT
+        return FREE if output is not None and self._serving.is_free(output) else INDEPENDENT
 
     def ready(self, fault_set: Iterable[str], channel: str) -> bool:
         """
@@ -123,7 +128,7 @@ class Bank(Steps):
     def converging(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether it runs and could be used, but for what is left of its start yet."""
         output = self._running(fault_set, channel)
-        return output is not None and 0.0 < self._waiting(output) < math.inf \
+        return output is not None and 0.0 < self._serving.waiting(output) < math.inf \
             and self._why_invalid(output) is None
 
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
@@ -131,44 +136,41 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        alone = self._waiting(output) if self._past[-1].running[self._row(output)] else math.inf
-        return min(alone, self._until_tracked(output))
+        alone = self._serving.waiting(output) if self._serving.runs(output) else math.inf
+        return min(alone, self._serving.until_tracked(output))
 
     def warm_up(self, fault_set: Iterable[str], channel: str) -> float:
         """Return how long [s] it takes to forget its start; infinite when that is not known."""
         output = self._output.get((frozenset(fault_set), channel))
         if output is None:
             return math.inf
-        alone, i = float(self._batch.warm_up[output]), self._tracked.get(output)
+        alone, i = float(self._batch.warm_up[output]), self._serving.tracked.get(output)
         if i is None:
             return alone
         tracked = self._batch.tracked[i]
-        followed = tracked.warm_up + self._guard[i]
+        followed = tracked.warm_up + self._serving.guards[i]
         return followed if tracked.temporary else min(alone, followed)
 
     def grows(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether it only goes on from the channel's last readings, and drifts off then."""
         output = self._output.get((frozenset(fault_set), channel))
-        i = None if output is None else self._tracked.get(output)
+        i = None if output is None else self._serving.tracked.get(output)
         return i is not None and self._batch.tracked[i].temporary
 
     def remaining(self, fault_set: Iterable[str], channel: str, limit: float) -> float:
         """Return how long [s] it is until its deviation passes a limit; inf: it does not grow."""
         output = self._output.get((frozenset(fault_set), channel))
-        i = None if output is None else self._tracked.get(output)
+        i = None if output is None else self._serving.tracked.get(output)
         if output is None or i is None or not self._past:
             return math.inf
-        limit /= self._steepness(output)
-        if self._is_free(output) and self._runs.lost(i):
-            age = self._age(output) if self._flies(i) else math.inf
-            unseen = float(self._unseen_now()[output])
+        if self._serving.is_free(output) and self._runs.lost(i):
+            age = self._serving.age(output) if self._serving.flies(i) else math.inf
+            unseen = self._deviations.unseen(output)
         elif self._batch.tracked[i].temporary:
-            age, unseen = self._guard[i], 0.0
+            age, unseen = self._serving.guards[i], 0.0
         else:
             return math.inf
-        left = limit**2 - unseen**2
-        return 0.0 if left <= 0.0 or age == math.inf else \
-            self._measured.growth.until(i, age, math.sqrt(left))
+        return self._deviations.until(output, age, unseen, limit / self._steepness(output))
 
     def outside_region(self, fault_set: Iterable[str], channel: str) -> bool:
         """
@@ -196,20 +198,20 @@ class Bank(Steps):
         output = self._output.get((frozenset(fault_set), channel))
         if output is None or not self._past:
             return math.inf
-        found = self._deviation_by_now(output)
-        return found * self._steepness(output) if output in self._curves else found
+        found = self._deviation(output)
+        return found * self._steepness(output) if output in self._shown else found
 
-    def _deviation_by_now(self, output: int) -> float:
+    def _deviation(self, output: int) -> float:
         """Return the deviation of a linear reading, by the run that serves or would."""
-        served = self._deviation(output, self._past[-1], self._unseen_now()) \
-            if self._past[-1].running[self._row(output)] else math.inf
-        i = self._tracked.get(output)
+        served = self._deviations.of_run(output, self._serving.row(output)) \
+            if self._serving.runs(output) else math.inf
+        i = self._serving.tracked.get(output)
         if i is None or self._runs.lost(i):
             return served
-        followed = math.inf if self._until_tracked(output) else self._widening(output) * \
-            float(self._measured.growth.stated(i, self._guard[i]))
+        followed = math.inf if self._serving.until_tracked(output) else \
+            self._deviations.if_lost(output, self._serving.guards[i])
         temporary = self._batch.tracked[i].temporary
-        if temporary or (followed < math.inf and self._waiting(output)):
+        if temporary or (followed < math.inf and self._serving.waiting(output)):
             return followed
         return min(served, followed)
 
@@ -221,7 +223,7 @@ class Bank(Steps):
         """
         output = self._output.get((frozenset(fault_set), channel))
         found = None if output is None else self._measured.record.rehearsal(output)
-        if output not in self._curves or found is None:
+        if output is None or found is None or output not in self._shown:
             return found
         steep = self._steepness(output)
         return found._replace(mean=steep * found.mean, rms=steep * found.rms,
@@ -245,8 +247,9 @@ class Bank(Steps):
         if output is None:
             return None
         state = self._past[-1]
-        return self._shown_interval(output, self._batch.interval(
-            output, self._runs.serving(state.z), state.told, self._age(output)), state)
+        return self._shown.interval(output, self._batch.interval(
+            output, self._runs.serving(state.z), state.told, self._serving.age(output)),
+            state.told.held)
 
     def residual(self, fault_set: Iterable[str], channel: str) -> float | None:
         """
@@ -275,7 +278,7 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        if self._is_free(output):
+        if self._serving.is_free(output):
             centre, spread = 0.0, self._spread_of_free(output, last)
         else:
             record = self._measured.record
@@ -283,7 +286,7 @@ class Bank(Steps):
             spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
         known = not math.isnan(centre)
         value, steep = self._residual(output, last), self._steepness(output)
-        if value is not None and abs(value - (centre if known else 0.0)) <= _OUT_OF_LINE * spread:
+        if value is not None and abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
             return value * steep
         return centre * steep if known else None
 
@@ -299,10 +302,11 @@ class Bank(Steps):
         if key in self._batch.left_out:
             return self._batch.left_out[key]
         output = self._output[frozenset(entry.fault_set), channel]
-        i = self._tracked.get(output)
-        if self._until_tracked(output) == 0.0:
+        i = self._serving.tracked.get(output)
+        if self._serving.until_tracked(output) == 0.0:
             return self._why_invalid(output)
-        if i is not None and self._batch.tracked[i].temporary and not self._flies(i):
+        if i is not None and self._batch.tracked[i].temporary and \
+                not self._serving.flies(i):
             return self._why_not_tracked(output, i)
         if self.estimate(entry.fault_set, channel) is not None:
             wait = self.waiting(entry.fault_set, channel)
@@ -325,13 +329,14 @@ class Bank(Steps):
         tracked = self._batch.tracked[i]
         lack = self._told.missing(self._batch.starts_on[self._of[output]], self._now)
         if lack is not None or self._runs.lost(i):
-            return lack or self._runs.why[i] or Reason.of('track lost')
+            return lack or self._runs.why[i] or Reason.of(
+                'catching up' if self._flights.behind(i) else 'track lost')
         lack = self._told.missing(self._batch.starts_on[tracked.tracker], self._now)
         if lack is not None:
             own = [self.sensors[c] for c in tracked.channels]
             isolated = lack.code == 'input isolated' and lack.fact('name') in own
             return Reason.of('not tracked yet') if isolated else lack
-        wait = self._until_tracked(output)
+        wait = self._serving.until_tracked(output)
         return Reason.of('converging' if self._batch.proved[output] else 'converging, not proved',
                          seconds=wait) if 0.0 < wait < math.inf else Reason.of('about to start')
 
@@ -351,95 +356,36 @@ class Bank(Steps):
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
-    def _unseen_at(self, state: State) -> np.ndarray:
-        return self._measured.unseen(state.tick, self._told.ages_at(self._at(state.tick)))
-
-    def _unseen_now(self) -> np.ndarray:
-        if self._unseen is None:
-            self._unseen = self._unseen_at(self._past[-1])
-        return self._unseen
-
-    def _deviation(self, output: int, state: State, unseen: np.ndarray) -> float:
-        return self._deviation_of(output, self._row(output), state, unseen)
-
-    def _deviation_of(self, output: int, row: int, state: State, unseen: np.ndarray) -> float:
-        """Return the deviation of what an output says of one of its runs."""
-        age = float(state.tick - state.since[row]) * self.period * 1e-9
-        i, wider = self._tracked.get(output), self._widening(output)
-        if i is not None and row == self._batch.tracked[i].free:
-            # what the model errs more now reaches it in time as much as the independent run
-            more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
-                math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen[output], more, wider * max(
-                float(self._measured.growth.stated(i, age)), self._spreads.deviation(i, state)))
-        else:
-            found = math.hypot(
-                wider * self._measured.base[output], unseen[output], self._batch.deviation(
-                    output, state.z[:self._batch.size], state.told, age))
-        return math.inf if math.isnan(found) else found
-
     def _widening(self, output: int) -> float:
         """Return by what factor it is worse now than usual, by what healthy sensors show."""
         elsewhere = self._measured.elsewhere
         if elsewhere.told_of[output]:
             oldest = self._past[0].tick
             for first, end in elsewhere.due(oldest, self._past[-1].tick):
-                self._measured.look(*self._stacked(
-                    islice(self._past, first - oldest, end - oldest)))
+                self._measured.look(*stacked(islice(
+                    self._past, first - oldest, end - oldest)), self._heard())
         return elsewhere.widening[output]
 
     def _running(self, fault_set: Iterable[str], channel: str) -> int | None:
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
-        return output if output is not None and self._past \
-            and self._past[-1].running[self._row(output)] else None
-
-    def _age(self, output: int, state: State | None = None) -> float:
-        """Return for how long [s] the virtual sensor of an output has been running; by now."""
-        state = state or self._past[-1]
-        return float(state.tick - state.since[self._row(output)]) * self.period * 1e-9
-
-    def _waiting(self, output: int) -> float:
-        """Return the time [s] until the run that serves has forgotten its start."""
-        if self._is_free(output):
-            return 0.0 if self._flies(self._tracked[output]) else math.inf
-        return self._batch.waiting(output, self._past[-1].z[:self._batch.size],
-                                   self._age(output))
+        return output if output is not None and self._serving.runs(output) else None
 
     def _why_invalid(self, output: int) -> Reason | None:
         state = self._past[-1]
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
-                                   self._age(output))
+                                   self._serving.age(output))
 
-    def _linear_now(self, output: int) -> float:
-        """Return the linear reading that is estimated now."""
-        if self._estimates is None:
-            self._estimates = self._estimates_at(self._past[-1])
-        return float(self._estimates[output])
+    def _estimates_now(self) -> np.ndarray:
+        state, rows, known = self._past[-1], self._runs.rows, self._known
+        if known is None or known[0] is not state or known[1] is not rows:
+            known = self._known = state, rows, self._estimates_at(state)
+        return known[2]
 
-    def _shown(self, output: int, linear: float, state: State) -> float:
-        """Return what a sensor shows of its linear reading."""
-        if output not in self._curves:
-            return linear
-        curve, beside = self._curves[output]
-        return curve.shown(linear, float(beside @ state.told.held) if curve.beside else 0.0)
-
-    def _shown_interval(self, output: int, interval: tuple[float, float] | None,
-                        state: State) -> tuple[float, float] | None:
-        if output not in self._curves or interval is None:
-            return interval
-        low, high = sorted(self._shown(output, end, state) for end in interval)
-        return low, high
-
-    def _steepness(self, output: int, linear: float | None = None,
-                   state: State | None = None) -> float:
-        """Return by what a small difference of linear readings is to be multiplied; by now."""
-        if output not in self._curves or not self._curves[output][0].text:
-            return 1.0
-        curve, beside = self._curves[output]
-        linear = self._linear_now(output) if linear is None else linear
-        state = state or self._past[-1]
-        return curve.slope(linear, float(beside @ state.told.held) if curve.beside else 0.0)
+    def _steepness(self, output: int) -> float:
+        """Return by what a small difference of linear readings is to be multiplied now."""
+        return 1.0 if output not in self._shown else self._shown.steepness(
+            output, float(self._estimates_now()[output]), self._past[-1].told.held)
 
     def _estimates_at(self, state: State) -> np.ndarray:
         with np.errstate(all='ignore'):
@@ -452,7 +398,7 @@ class Bank(Steps):
                 self._past[0].tick <= reading[0] <= self._past[-1].tick:
             return None
         state = self._past[reading[0] - self._past[0].tick]
-        if not state.running[self._row(output)]:
+        if not state.running[self._serving.row(output)]:
             return None
         value = float(reading[1] - self._estimates_at(state)[output])
         if not math.isfinite(value):
@@ -465,76 +411,19 @@ class Bank(Steps):
     def advance(self, now: int) -> None:
         """Bring the state to the last grid time, see `Steps`; then choose who serves."""
         super().advance(now)
-        self._choose()
+        self._serving.choose(self._deviations)
 
     def distrust(self, names: Iterable[str], now: int | None = None,
                  onsets: Mapping[str, int] = MappingProxyType({})) -> None:
         """Take these sensors as not to be read, see `Steps`; then choose who serves."""
         super().distrust(names, now, onsets)
-        self._choose()
-
-    def _choose(self) -> None:
-        """Let of the independent and the free run that serve whose deviation is the smaller."""
-        if not self._runs.flying or not self._past:
-            return
-        state, unseen = self._past[-1], self._unseen_now()
-        for output, i in self._tracked.items():
-            own, free = self._of[output], self._batch.tracked[i].free
-            if own == free or self._runs.seed(i) is None:
-                continue
-            alone = math.inf
-            age = float(state.tick - state.since[own]) * self.period * 1e-9
-            if state.running[own] and not self._batch.waiting(
-                    output, state.z[:self._batch.size], age):
-                # it knows no more of where it is than the free run, that its terms bend as much
-                alone = max(self._deviation_of(output, own, state, unseen),
-                            self._spreads.deviation(i, state))
-            freely = self._deviation_of(output, free, state, unseen) \
-                if state.running[free] else math.inf
-            agree = max(alone, freely) == math.inf or \
-                self._apart(output, i) <= _OUT_OF_LINE * math.hypot(alone, freely)
-            proven = self._measured.record.proven(output)
-            if self._runs.choose(i, alone, freely, proven, agree):
-                self._estimates = None
-
-    def _apart(self, output: int, i: int) -> float:
-        """Return by how much the independent and the free run of a tracked one differ now."""
-        state, tracked = self._past[-1], self._batch.tracked[i]
-        z = state.z[:self._batch.size].copy()
-        said = []
-        for run in (tracked.own, tracked.free):
-            z[tracked.own] = state.z[run]
-            with np.errstate(all='ignore'):
-                said.append(float(self._batch.estimates(
-                    z, state.told.y, state.told.held)[output]))
-        angle = self.angles.get(self._batch.keys[output][1])
-        return abs(said[1] - said[0] if angle is None else angle.shortest(said[1] - said[0]))
-
-    def _row(self, output: int) -> int:
-        """Return the run that serves for an output."""
-        return int(self._runs.rows[self._of[output]])
-
-    def _is_free(self, output: int) -> bool:
-        i = self._tracked.get(output)
-        return i is not None and self._row(output) == self._batch.tracked[i].free
-
-    def _flies(self, i: int) -> bool:
-        """Tell whether a free run goes on now without its channels."""
-        return self._runs.seed(i) is not None and bool(
-            self._past[-1].running[self._batch.tracked[i].free])
-
-    def _until_tracked(self, output: int) -> float:
-        """Return the time [s] until there is a free run if the channels are lost then."""
-        i = self._tracked.get(output)
-        if i is None or not self._past or self._runs.lost(i):
-            return math.inf
-        return self._runs.waiting(i, self._past[-1], self._guard[i])
+        self._serving.choose(self._deviations)
 
     def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
         """Return the standard deviation of a reading (tick, value) - what a free run says."""
-        seed = self._runs.seed(self._tracked[output])
+        seed = self._runs.seed(self._serving.tracked[output])
         if seed is None or reading is None:
             return math.nan
         age = max(0.0, (reading[0] - seed.tick) * self.period * 1e-9)
-        return math.hypot(seed.spread, float(
-            self._measured.growth.stated(self._tracked[output], age)))
+        return math.hypot(seed.spread, self._measured.growth.stated(
+            self._serving.tracked[output], age))

@@ -16,6 +16,7 @@ from vsensor_ros.observers import (
     kind_named,
     kind_names,
     Refusal,
+    StepOfSome,
     Told,
 )
 from vsensor_ros.reason import Reason
@@ -102,6 +103,22 @@ class Composite(Batch):
             stepped.append(own)
         return self._filled(stepped), outside
 
+    def step_of(self, rows: np.ndarray) -> StepOfSome:
+        """Step those of each kind."""
+        steps = []
+        for part, _, at, k in self.parts:
+            mine, own = np.nonzero(rows[:, None] == at)
+            if mine.size:
+                steps.append((part.step_of(own), mine, k))
+
+        def step(z: np.ndarray, before: Told, after: Told,
+                 commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            ended, outside = np.zeros_like(z), np.zeros(len(z), dtype=bool)
+            for of_kind, mine, k in steps:
+                ended[mine, :k], outside[mine] = of_kind(z[mine, :k], before, after, commands)
+            return ended, outside
+        return step
+
     def _filled(self, states: Sequence[np.ndarray]) -> np.ndarray:
         z = np.zeros((len(self.runs_on), self.width))
         for (_, _, rows, k), own in zip(self.parts, states):
@@ -113,6 +130,12 @@ class Composite(Batch):
         return np.concatenate([np.zeros((*z.shape[:-2], 0)), *(
             part.estimates(z[..., rows, :k], y, held)
             for part, rows, _, k in self.parts)], axis=-1)
+
+    def estimate(self, output: int, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Ask the kind."""
+        i, own = self.outputs[output]
+        part, _, _, k = self.parts[i]
+        return part.estimate(own, z[..., :k], y, held)
 
     def waiting(self, output: int, z: np.ndarray, age: float) -> float:
         """Ask the kind."""
@@ -148,19 +171,18 @@ class Composite(Batch):
     def bent(self, i: int) -> Bent | None:
         """Ask the kind."""
         part, own = self.tracks[i]
-        found = self.parts[part][0].bent(own)
-        if found is None:
-            return None
-        wide = (0, self.width - len(found.row))
-        return Bent(np.pad(found.start, (wide, wide)), np.pad(found.growth, (wide, wide)),
-                    np.pad(found.row, wide), found.direct)
+        return self.parts[part][0].bent(own)
 
     def _own(self, output: int, z: np.ndarray) -> tuple[Batch, int, np.ndarray]:
         i, own = self.outputs[output]
         part, rows, _, k = self.parts[i]
         return part, own, z[rows, :k]
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True,
+              output: int | None = None) -> np.ndarray:
         """Ask each kind."""
+        if output is not None:
+            i, own = self.outputs[output]
+            return self.parts[i][0].reach(slopes, ages, direct, own)
         return np.concatenate([np.zeros(0), *(
             part.reach(slopes, ages, direct) for part, _, _, _ in self.parts)])

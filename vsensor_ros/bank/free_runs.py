@@ -57,10 +57,12 @@ class FreeRuns:
         """Forget all."""
         self._seeds: list[Seed | None] = [None] * len(self.tracked)
         self.why: list[Reason | None] = [None] * len(self.tracked)
+        self._looked = b''  # who was good when that was looked at last, if nothing was lost since
+        self._lost: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
         self._followed: np.ndarray = np.zeros(len(self.tracked), dtype=bool)
         self._fresh: set[int] = set()  # of which no run was chosen yet
         self._spoilt: set[int] = set()  # by a fault from before the guard
-        self.flying = False  # any
+        self.flights: tuple[int, ...] = ()  # those that have a seed
         self.steady = False  # all rehearse
         self.rows = self._alone
 
@@ -70,7 +72,11 @@ class FreeRuns:
 
     def lost(self, i: int) -> bool:
         """Tell whether one has lost its tracker, and has not got it back."""
-        return self._seeds[i] is not None or self.why[i] is not None
+        return bool(self._lost[i])
+
+    def is_fresh(self, i: int) -> bool:
+        """Tell whether it was not chosen yet who serves."""
+        return i in self._fresh
 
     def waiting(self, i: int, state: State, guard: float) -> float:
         """Return the time [s] until its tracker is ready to be lost; inf: it does not run."""
@@ -87,20 +93,25 @@ class FreeRuns:
 
     def place(self, state: State) -> State:
         """Return a state in which those free runs stand anew that begin there."""
-        tick = state.tick
-        rehearse = tick % self._cycle in self._begins
-        if not rehearse and not self.flying:
-            return state
-        new = {i: seed.z for i, seed in enumerate(self._seeds)
-               if seed is not None and seed.tick == tick} if self.flying else {}
-        if rehearse:
+        new = self._begun_at(state.tick) if self.flights else {}
+        if state.tick % self._cycle in self._begins:
             new.update((i, state.z[self._trackers[i]])
                        for i in np.flatnonzero(self._good(state)).tolist() if not self.lost(i))
-        if not new:
-            return state
+        return self._placed(state, new) if new else state
+
+    def place_flights(self, state: State) -> State:
+        """Return a state in which those flights stand anew that begin there."""
+        new = self._begun_at(state.tick)
+        return self._placed(state, new) if new else state
+
+    def _begun_at(self, tick: int) -> dict[int, np.ndarray]:
+        return {i: seed.z for i in self.flights
+                if (seed := self._seeds[i]) is not None and seed.tick == tick}
+
+    def _placed(self, state: State, new: dict[int, np.ndarray]) -> State:
         rows = self.free[list(new)]
         z, since, running = state.z.copy(), state.since.copy(), state.running.copy()
-        z[rows], since[rows], running[rows] = list(new.values()), tick, True
+        z[rows], since[rows], running[rows] = list(new.values()), state.tick, True
         return state._replace(z=z, since=since, running=running)
 
     def stopped(self, state: State) -> list[int]:
@@ -110,21 +121,30 @@ class FreeRuns:
         Of those it says nothing who could not go on for want of other readings.
         """
         good = self._good(state)
-        for i in np.flatnonzero(good).tolist():
-            if self.lost(i):
-                self._land(i)
+        if good.tobytes() == self._looked:
+            return []
+        for i in np.flatnonzero(good & self._lost).tolist():
+            self._land(i)
         gone = np.flatnonzero(self._followed & ~good).tolist()
-        self._followed, self.steady = good, bool(good.all()) and not self.flying
-        lack = self._batch.runs_on[self.free] & ~state.told.there
-        return [i for i in gone if not self.lost(i) and not lack[i].any()]
+        self._followed, self.steady = good, bool(good.all()) and not self.flights
+        self._looked = good.tobytes()
+        if not gone:
+            return []
+        lack = self._batch.runs_on[self.free[gone]] & ~state.told.there
+        return [i for i, lacks in zip(gone, lack.any(axis=1)) if not self.lost(i) and not lacks]
 
     def _land(self, i: int) -> None:
-        self._seeds[i] = self.why[i] = None
+        self._set(i, None, None)
         self._spoilt.discard(i)
-        self.flying = any(seed is not None for seed in self._seeds)
         own = self.tracked[i].own
         if self.rows[own] != own:
             self._serve(own, own)
+
+    def _set(self, i: int, seed: Seed | None, why: Reason | None) -> None:
+        self._seeds[i], self.why[i] = seed, why
+        self._looked = b''
+        self._lost[i] = seed is not None or why is not None
+        self.flights = tuple(i for i, seed in enumerate(self._seeds) if seed is not None)
 
     def serving(self, z: np.ndarray) -> np.ndarray:
         """Return of the states (R, k) those that serve (V, k)."""
@@ -176,17 +196,18 @@ class FreeRuns:
         first, last = past[0].tick, past[-1].tick
         tick = min(tick, last)
         if tick < first and followed:
-            self.why[i] = Reason.of('tracked too long ago', seconds=(last - tick) * self._period,
-                                    kept=(last - first) * self._period)
+            self._set(i, None, Reason.of(
+                'tracked too long ago', seconds=(last - tick) * self._period,
+                kept=(last - first) * self._period))
             return None
         state = past[max(tick - first, 0)]
         if tick < first or not self._good(state)[i]:
-            self.why[i] = Reason.of('not tracked yet')
+            self._set(i, None, Reason.of('not tracked yet'))
             return None
         row = self._trackers[i]
-        self._seeds[i] = Seed(tick, state.z[row].copy(), self._spread(i, tick, past))
+        self._set(i, Seed(tick, state.z[row].copy(), self._spread(i, tick, past)), None)
         self._fresh.add(i)
-        self.flying, self.steady = True, False
+        self.steady = False
         return tick
 
     def drop(self, i: int) -> None:
@@ -204,13 +225,11 @@ class FreeRuns:
         states = [s for s in states if s.running[row] and s.told.there[sensor]]
         if sensor < 0 or not states:
             return np.nan
-        rows = self._alone.copy()
-        rows[own] = row
         said = np.array([s.told.y for s in states])
-        off = said[:, [sensor]] - self._batch.estimates(
-            np.array([s.z[rows] for s in states]), said,
-            np.array([s.told.held for s in states]))[:, [output]]
-        off = self._short_way.of([output])(off)
+        off = said[:, sensor] - self._batch.estimate(
+            output, np.array([s.z[row] for s in states]), said,
+            np.array([s.told.held for s in states]))
+        off = self._short_way.of([output])(off[:, None])
         return float(np.sqrt(np.mean(off**2)))
 
 

@@ -47,6 +47,7 @@ class Inputs:
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
+        self._there: np.ndarray = self.everything  # the last that was not everything
         self.distrusted: frozenset[str] = frozenset()
         self._wrap, self._curves, self._shifts = wrap, curves, shifts
         self.angles = {name: Angle(abs(turn)) for turns in wrap for name, turn in turns.items()}
@@ -226,8 +227,11 @@ class Inputs:
         stopped = [i for i, command in self._stoppable if command.stopped(time)]
         there: np.ndarray = self.everything
         if None in y or None in held or stopped:
-            there = np.array([v is not None for v in (*y, *held)], dtype=bool)
-            there[stopped] = False
+            found = np.array([v is not None for v in (*y, *held)], dtype=bool)
+            found[stopped] = False
+            if found.tobytes() != self._there.tobytes():  # mostly it is as before
+                self._there = found
+            there = self._there
             y, held = [v or 0.0 for v in y], [v or 0.0 for v in held]
         return Told(np.array(y, dtype=float), there,
                     np.array(held, dtype=float) if self._wants_held else _NOTHING)

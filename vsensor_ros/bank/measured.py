@@ -144,11 +144,19 @@ class Measured:
         left = np.exp(-ages / np.maximum(self._batch.slowest, 1e-9))
         return np.asarray(self._missed * np.where(self._stays, 1.0, left))
 
-    def unseen(self, tick: int, ages: np.ndarray) -> np.ndarray:
-        """Return the standard deviations (O,) because readings of these ages [s] have moved."""
+    def unseen(self, tick: int, ages: np.ndarray, output: int | None = None) -> np.ndarray:
+        """
+        Return the standard deviations because readings of these ages [s] have moved.
+
+        Of all outputs (O,), or of one (1,).
+        """
         slopes = self.record.slope
-        # before slopes are known: nothing is said of readings that are far from silent
-        slopes = np.where(np.isnan(slopes), np.where(ages > self._recent, np.inf, 0.0), slopes)
+        if np.isnan(slopes).any():
+            # before slopes are known: nothing is said of readings that are far from silent
+            slopes = np.where(np.isnan(slopes), np.where(ages > self._recent, np.inf, 0.0), slopes)
         with np.errstate(all='ignore'):
-            held = self._batch.reach(slopes, ages)
-        return np.hypot(held, self._left_of_gaps(tick)) if self._missed.any() else held
+            held = self._batch.reach(slopes, ages, output=output)
+        if not self._missed.any():
+            return held
+        left = self._left_of_gaps(tick)
+        return np.hypot(held, left if output is None else left[output])

@@ -9,6 +9,7 @@ nothing of the model.
 from __future__ import annotations
 
 from collections import deque
+import math
 
 import numpy as np
 from scipy.special import stdtrit
@@ -23,7 +24,8 @@ _FEW = 3  # of fewer nothing is said
 _WORST = 20  # one in so many is left out
 _TOLD_APART = 0.2  # of the rms of a residual is the estimate's, at least
 _MEDIAN = 0.954  # of the absolute difference of two normal ones, per standard deviation
-_NEXT, _NEVER = 1e-2, 1e6  # s from now that are looked at
+# s from now that are looked at
+_FROM_NOW = np.concatenate([[0.0], np.geomspace(1e-2, 1e6, 300)])
 _TWO_SIDED = 0.97725  # two deviations of a normal distribution, on one side
 
 
@@ -55,6 +57,7 @@ class Growth:
         self._kept = np.full((2, len(tracked), len(self._ticks), _KEPT), np.nan)
         self._waiting: deque[tuple[int, np.ndarray]] = deque()  # by index (2, T, ages)
         self.measured: np.ndarray = np.full(self._kept.shape[1:3], np.nan)  # NaN: not known
+        self._tables: dict[int, tuple[np.ndarray, np.ndarray, float] | None] = {}
 
     def add(self, ticks: np.ndarray, z: np.ndarray, running: np.ndarray, since: np.ndarray,
             told: Told, heard: np.ndarray) -> None:
@@ -103,6 +106,7 @@ class Growth:
         rms = np.sqrt(np.maximum(square - noise, _TOLD_APART**2 * square))
         self.measured = np.where(
             n >= _FEW, rms * stdtrit(np.maximum(n, 1), _TWO_SIDED) / 2.0, np.nan)
+        self._tables.clear()
 
     def forget(self, lost: np.ndarray) -> None:
         """Forget what is not yet believed of those (T,) that have read what is lost."""
@@ -113,24 +117,41 @@ class Growth:
         """Forget what is not yet believed."""
         self._waiting.clear()
 
-    def stated(self, i: int, ages: np.ndarray | float) -> np.ndarray:
-        """Return the standard deviation of a free run at ages [s]."""
-        ages = np.asarray(ages, dtype=float)
-        computed = self._batch.drift(i, ages)
-        known = np.isfinite(self.measured[i])
-        if not known.any():
+    def stated(self, i: int, age: float) -> float:
+        """Return the standard deviation of a free run at an age [s]."""
+        computed = float(self._batch.drift(i, np.array(age)))
+        table = self._table(i)
+        if table is None:
             return computed
-        at, measured = self._ages[known], self.measured[i, known]
-        last = float(self._batch.drift(i, at[-1:])[0])
+        at, measured, last = table
+        found = float(np.interp(age, at, measured))
+        if age > at[-1]:
+            found *= max(1.0, computed / last if 0.0 < last < math.inf else age / float(at[-1]))
+        return max(computed, math.inf if math.isnan(found) else found)
+
+    def _table(self, i: int) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """Return ages and what was measured there, and what is computed of the last; or None."""
+        if i not in self._tables:
+            known = np.isfinite(self.measured[i])
+            at = self._ages[known]
+            self._tables[i] = (at, self.measured[i, known], float(
+                self._batch.drift(i, at[-1:])[0])) if known.any() else None
+        return self._tables[i]
+
+    def _stated_at(self, i: int, ages: np.ndarray) -> np.ndarray:
+        """Return `stated` of many ages."""
+        computed, table = self._batch.drift(i, ages), self._table(i)
+        if table is None:
+            return computed
+        at, measured, last = table
         with np.errstate(all='ignore'):
             beyond = np.maximum(computed / last if 0.0 < last < np.inf else ages / at[-1], 1.0)
-        found = np.interp(ages, at, measured) * np.where(ages > at[-1], beyond, 1.0)
+            found = np.interp(ages, at, measured) * np.where(ages > at[-1], beyond, 1.0)
         return np.maximum(computed, np.where(np.isnan(found), np.inf, found))
 
     def until(self, i: int, age: float, limit: float) -> float:
         """Return how long [s] after an age a free run's deviation passes a limit; inf: never."""
-        after = np.concatenate([[0.0], np.geomspace(_NEXT, _NEVER, 300)])
-        stated = self.stated(i, age + after)
+        after, stated = _FROM_NOW, self._stated_at(i, age + _FROM_NOW)
         beyond = np.flatnonzero(stated > limit)
         if not beyond.size or beyond[0] == 0:
             return 0.0 if beyond.size else np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,3 +22,11 @@ class State(NamedTuple):
     told: Told
     # (T, k, k) covariances of the free runs along their way; None: that bends no error
     spread: np.ndarray | None = None
+
+
+def stacked(states: Iterable[State]) -> tuple[
+        np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told]:
+    """Return ticks, z, running, since, told of states, along a first axis."""
+    ticks, z, running, since, _, _, told, _ = zip(*states)
+    return (np.array(ticks), np.array(z), np.array(running), np.array(since),
+            Told(*map(np.array, zip(*told))))

@@ -10,7 +10,7 @@ what comes after is integrated again: held readings become interpolated ones.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 import math
 from types import MappingProxyType
 
@@ -20,19 +20,18 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.angle import ShortWay
 from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
+from vsensor_ros.bank.flights import AT_ONCE, Flights, guards_of, stop
 from vsensor_ros.bank.free_runs import FreeRuns
 from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
+from vsensor_ros.bank.late import Late
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.readings import Samples
 from vsensor_ros.bank.spread import Spreads
-from vsensor_ros.bank.state import State
+from vsensor_ros.bank.state import stacked, State
 from vsensor_ros.observers import Design, Told
 from vsensor_ros.reason import Reason
 
 _LONGEST = 1000  # steps that can be taken back, at most
-GUARD = 0.5  # s, by default
-LONGEST_GUARD = 10.0  # s
-_REDONE = 4  # steps redone for each new one, in the mean: what late data may cost
 
 
 class Steps:
@@ -65,6 +64,9 @@ class Steps:
                            f'{design.sample_time:g} s', f'give {1.0 / design.sample_time:g}')
         for name in set(design.sensors) & set(design.inputs):
             raise BadInput('', name, 'is both a sensor and a command', 'rename one')
+        for name in {name for turns in design.wrap for name in turns} & set(design.curves):
+            if design.curves[name].text:
+                raise BadInput('', name, 'shows a curve, and wraps', 'write it without a curve')
         self.sensors, self.inputs = design.sensors, design.inputs
         self.period = round(1e9 / rate)
         ages = ages_of(design.sensors, max_age, 3 * self.period)
@@ -72,8 +74,6 @@ class Steps:
         self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
                         for name, delay in design.delays.items()}
         ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
-        # what comes late by itself is paid for
-        self._redone = _REDONE - min(self._shifts.values(), default=0) // self.period
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
         if jump_ahead is not None and not jump_ahead > 0.0:
@@ -85,10 +85,10 @@ class Steps:
         Cu = design.Cu if design.sample_time is None else None
         Cu = Cu if Cu is not None and Cu.any() else None
         self._batch = batch_of(design, self.period * 1e-9, Cu)
-        self._guards = _guards(design.sensors, guard)
+        self._guards = guards_of(design.sensors, guard)
         turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
-        short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
-        self._runs = FreeRuns(self._batch, self.period * 1e-9, short_way)
+        self._short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
+        self._runs = FreeRuns(self._batch, self.period * 1e-9, self._short_way)
         # the states that are kept; of a silent sensor they are wanted from before its last reading
         self._kept = self._span
         if self._runs.tracked:
@@ -104,7 +104,14 @@ class Steps:
                             command_ends, 3 * self.period, design.wrap, design.curves,
                             self._shifts)
         self.angles = self._told.angles  # by sensor that wraps
-        self._measured = Measured(self._batch, ages, self.period, Cu, short_way)
+        self._past: deque[State] = deque()
+        # what comes late by itself is paid for
+        self._late = Late(self._span, -min(self._shifts.values(), default=0) // self.period)
+        self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
+                                self._guards, self._at)
+        self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
+        # who lacks what there was last: (L + m,) bool, and (R,) those that stop, or cannot start
+        self._lack = self._told.everything, ~self._everyone, ~self._everyone
         # what was not used, but of isolated sensors, by channel and reason
         self.refused: Counter[tuple[str, Reason]] = Counter()
         self.jumps: Counter[str] = Counter()  # 'backwards', 'forwards': of the clock
@@ -121,14 +128,12 @@ class Steps:
         self._restart()
 
     def _restart(self) -> None:
-        self._past: deque[State] = deque()
+        self._past.clear()
         self._settled: list[State] = []  # from before the past, for the record
         self._measured.restart()
         self._runs.reset()
-        self._redo: int | None = None  # the last index that late data leaves as it was
-        self._credit = self._span  # steps that may be redone now
-        self._estimates: np.ndarray | None = None  # (O,) now, once they were asked for
-        self._unseen: np.ndarray | None = None  # (O,) now, likewise
+        self._flights.reset()
+        self._late.reset()
 
     @property
     def time(self) -> int | None:
@@ -165,8 +170,7 @@ class Steps:
         if self._past and before < self._past[0].tick and name in self._told.ages and \
                 stamp + self._told.ages[name] < self._at(self._past[0].tick):
             return None  # too old to count for any state that can be redone
-        if self._redo is None or before < self._redo:
-            self._redo = before
+        self._late.note(before)
         return None
 
     def spoil(self, name: str, time: int) -> None:
@@ -193,76 +197,19 @@ class Steps:
         for name in lost:
             self._farewells[name] = self._at_grid_time(name, self._told.samples[name])
         gone = np.array([name in lost for name in (*self.sensors, *self.inputs)], dtype=bool)
-        moved, first = self._lose(lost, gone, now, onsets) if self._past else ([], None)
+        if lost and self._past:
+            stay = self._flights.lose(lost, gone, now, onsets)
         if self._now is not None:  # it may be trusted at any time before the next step
             now = max(self._now, now or self._now) + self.period - 1
         self._told.distrust(names, now)
         if lost:
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
             self._measured.forget(gone[:len(self.sensors)], stopped)
-            stop = [s._replace(running=s.running & ~stopped,
-                               told=s.told._replace(there=s.told.there & ~gone))
-                    for s in (*self._settled, *self._past)]
-            self._settled, self._past = stop[:len(self._settled)], deque(stop[len(self._settled):])
-            self._stand_anew(moved, first)
+            stop(self._settled, ~stopped, ~gone)
+            if self._past:
+                stop(self._past, stay, ~gone)
+                self._flights.catch_up(AT_ONCE)
         self._measured.all_trusted = not names
-
-    def _lose(self, lost: Collection[str], gone: np.ndarray, now: int | None,
-              onsets: Mapping[str, int]) -> tuple[list[int], int | None]:
-        """
-        Let the free runs go on whose trackers read what is lost, (L + m,) bool.
-
-        Return whose stand elsewhere now, and the first tick at which one stands anew.
-        """
-        reads = self._batch.starts_on
-        now = self._at(self._past[-1].tick) if now is None else now
-        moved, begun = [], []
-        for i, tracked in enumerate(self._runs.tracked):
-            if reads[tracked.free, gone].any():
-                self._runs.drop(i)
-            elif reads[tracked.tracker, gone].any():
-                began = min([now, *(onsets.get(name, now) for name in lost if reads[
-                    tracked.tracker, self.sensors.index(name)])])
-                tick = self._clean(i, began)
-                if not self._runs.goes_on(i, tick):
-                    moved.append(i)
-                    begun.append(self._runs.lose(i, tick, self._past))
-        return moved, min((tick for tick in begun if tick is not None), default=None)
-
-    def _clean(self, i: int, time: int) -> int:
-        """Return the last tick of a tracker that a fault does not reach: see `distrust`."""
-        found = time
-        for sensor in self._runs.tracked[i].channels:
-            name = self.sensors[sensor]
-            samples = self._told.samples[name]
-            last = min([time, *samples.stamps[-1:]])
-            # a reading at the very end of the guard is between two others, and may be bad
-            found = min(found, samples.before(last - self._guards[name]))
-        return (found - self._at(0)) // self.period
-
-    def _follow(self) -> None:
-        """Let the free runs go on whose trackers have stopped: their channels are silent."""
-        now = self._at(self._past[-1].tick)
-        moved = self._runs.stopped(self._past[-1])
-        begun = [self._runs.lose(i, self._clean(i, now), self._past) for i in moved]
-        self._stand_anew(moved, min((tick for tick in begun if tick is not None), default=None))
-
-    def _stand_anew(self, moved: Collection[int], tick: int | None) -> None:
-        """Stop these free runs, and step anew from the first tick at which one begins anew."""
-        self._estimates = self._unseen = None
-        if moved:
-            stay = np.ones(len(self._everyone), dtype=bool)
-            stay[self._runs.free[list(moved)]] = False
-            self._past = deque(s._replace(running=s.running & stay) for s in self._past)
-        if tick is None:
-            return
-        last = self._past[-1].tick
-        while self._past[-1].tick > tick:
-            self._past.pop()
-        self._past[-1] = self._placed(self._past[-1])
-        with np.errstate(all='ignore'):
-            while self._past[-1].tick < last:
-                self._past.append(self._next(self._past[-1]))
 
     def silent(self, name: str, now: int) -> bool:
         """Tell whether a sensor's last reading, or else the beginning, is beyond its max_age."""
@@ -307,9 +254,13 @@ class Steps:
         if self._past and last - self._past[-1].tick > self._jump:
             self._restart()
             self.jumps['forwards'] += 1
-        self._take_back(last)
+        if not self._past:
+            self._late.forget()
+        elif steps := self._late.due(self._past[0].tick, self._past[-1].tick, last):
+            self._drop_after(self._past[-1].tick - steps)
         if self._past and self._past[-1].tick >= last:
             return
+        steps = last - self._past[-1].tick if self._past else 0
         with np.errstate(all='ignore'):
             if not self._past:
                 oldest = self._told.oldest_stamp(now)
@@ -319,10 +270,10 @@ class Steps:
                 self._past.append(self._first(begin))
             while self._past[-1].tick < last:
                 self._past.append(self._next(self._past[-1]))
-        self._estimates = self._unseen = None
         if self._runs.tracked and not (
                 self._runs.steady and self._past[-1].running is self._everyone):
-            self._follow()
+            self._flights.follow()
+            self._flights.catch_up(AT_ONCE + steps)
         while self._past[0].tick < last - self._kept:
             self._settled.append(self._past.popleft())
         if len(self._settled) >= self._measured.record.block:
@@ -330,31 +281,16 @@ class Steps:
 
     def step_back(self, to: int) -> int:
         """Forget the states after a time [ns], to step them anew; return the time of the last."""
-        while len(self._past) > 1 and self._at(self._past[-1].tick) > to:
-            self._past.pop()
+        first = self._past[0].tick
+        self._drop_after(max(first, (to - self._at(0)) // self.period))
         last = self._at(self._past[-1].tick)
         self._now = min(to, last)
-        self._estimates = self._unseen = None
         return last
 
-    def _take_back(self, last: int) -> None:
-        """Drop the states that late data changes; wait with it when that is often and far."""
-        if not self._past:
-            self._redo = None
-            return
-        newest = self._past[-1].tick
-        self._credit = min(self._credit + self._redone * max(0, last - newest), self._span)
-        if self._redo is None:
-            return
-        steps = newest - max(self._redo, self._past[0].tick, newest - self._span)
-        if steps > self._credit:
-            return
-        self._redo = None
-        if steps > 0:
-            self._credit -= steps
-            self._estimates = self._unseen = None
-            while self._past[-1].tick > newest - steps:
-                self._past.pop()
+    def _drop_after(self, tick: int) -> None:
+        while self._past[-1].tick > tick:
+            self._past.pop()
+        self._flights.taken_back(self._past[-1].tick)
 
     def _at(self, tick: int) -> int:
         assert self._origin is not None
@@ -371,7 +307,7 @@ class Steps:
         new = ~state.running & self._by_itself
         if not new.any():
             return state
-        new &= ~(self._batch.starts_on & ~state.told.there).any(axis=1)
+        new &= ~self._lacking(state.told)[1]
         if not new.any():
             return state
         z = np.where(new[:, None], self._batch.start(state.told), state.z)
@@ -388,34 +324,44 @@ class Steps:
         told, broken, spread = self._told.at(self._at(tick)), None, None
         if self._step is not None and (running is self._everyone or running.any()):
             commands = self._told.over(self._at(state.tick), self._at(tick))
-            z, out = self._step(z, state.told, told, commands)
-            if self._runs.flying and self._spreads.bent:
-                spread = self._spreads.step(state, z, lambda beside: self._batch.step(
-                    beside, state.told, told, commands)[0])
+            if self._runs.flights:
+                z, out, spread = self._spreads.step(
+                    self._runs.flights, False, state, told, commands)
+            else:
+                z, out = self._step(z, state.told, told, commands)
             if out.any():
                 outside = outside + (out & running)
             alive = running
             if told.there is not self._told.everything:
-                alive = running & ~(self._batch.runs_on & ~told.there).any(axis=1)
-            if alive is not self._everyone or not (np.abs(z) < LARGEST).all():
+                alive = running & ~self._lacking(told)[0]
+            if not (np.abs(z) < LARGEST).all():
                 finite = (np.abs(z) < LARGEST).all(axis=1)
                 broken = alive & ~finite
                 restarts = restarts + broken
-                running = alive & finite
-                z = np.where(running[:, None], z, 0.0)
+                alive = alive & finite
+            if alive is not self._everyone:
+                z = np.where(alive[:, None], z, 0.0)
+            running = alive
         state = State(tick, z, running, state.since, restarts, outside, told, spread)
         # what broke starts anew with the next step
         if running is not self._everyone and not (broken is not None and broken.any()):
             state = self._start(state)
         return self._placed(state) if self._runs.tracked else state
 
+    def _lacking(self, told: Told) -> tuple[np.ndarray, np.ndarray]:
+        """Return who stops (R,) for want of what is not there, and who cannot start (R,)."""
+        if told.there is not self._lack[0]:  # mostly it is as before
+            self._lack = told.there, *((needs & ~told.there).any(axis=1) for needs in (
+                self._batch.runs_on, self._batch.starts_on))
+        return self._lack[1:]
+
     def _placed(self, state: State) -> State:
         """Let those free runs stand anew that begin there."""
         placed = self._runs.place(state)
         if placed is state:
             return placed
-        if self._runs.flying and self._spreads.bent:
-            placed = self._spreads.begin(state, placed)
+        if self._runs.flights:
+            placed = self._spreads.begin(placed)
         if not placed.running.all():
             return placed
         return placed._replace(running=self._everyone)
@@ -423,26 +369,10 @@ class Steps:
     def _settle(self) -> None:
         """Hand over a block of states that nothing can change any more, to be measured."""
         states, self._settled = self._settled, []
-        self._measured.add(*self._stacked(states), self._past[-1].tick)
+        self._measured.add(*stacked(states), self._heard(), self._past[-1].tick)
         self._told.forget(self._at(self._past[0].tick))
 
-    def _stacked(self, states: Iterable[State]) -> tuple[
-            np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told, np.ndarray]:
-        """Return ticks, z, running, since, told of states, and the tick of each last reading."""
-        ticks, z, running, since, _, _, told, _ = zip(*states)
-        heard = np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
-                          for stamp in self._told.last_stamps()], dtype=int)
-        return (np.array(ticks), np.array(z), np.array(running), np.array(since),
-                Told(*map(np.array, zip(*told))), heard)
-
-
-def _guards(sensors: tuple[str, ...], given: Mapping[str, float]) -> dict[str, int]:
-    """Return the guard of each sensor in ns; raises BadInput."""
-    for name, guard in given.items():
-        if name not in sensors:
-            raise BadInput('', 'guard', f'{name} is no sensor',
-                           f'name one of {", ".join(sensors)}')
-        if not 0.0 <= guard <= LONGEST_GUARD:
-            raise BadInput('', 'guard', f'{guard} is not a time in s up to {LONGEST_GUARD:g}',
-                           'give one')
-    return {name: round(given.get(name, GUARD) * 1e9) for name in sensors}
+    def _heard(self) -> np.ndarray:
+        """Return the tick of the last reading of each sensor (L,); -1: there is none."""
+        return np.array([-1 if stamp is None else (stamp - self._at(0)) // self.period
+                         for stamp in self._told.last_stamps()], dtype=int)

@@ -11,6 +11,7 @@ from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer import design
+from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import METHODS
 from vsensor_ros.designer.location import locations
 from vsensor_ros.observers import Design
@@ -44,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             path = write_report(options.report, plant, result, places, progress)
             written += f', the report to {path}'
         _clear(progress)
-        _say(f'{answer(result, blocks, places, plant)}\n{closing(result)}; {written}')
+        minded = advice(plant, result, lambda other, lost: design(
+            other, [lost], **{**_choices(options), 'up_to': None}))
+        _say(f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}')
     except BadInput as error:
         _clear(progress)
         print(f'designer: {error}', file=sys.stderr)

@@ -24,7 +24,7 @@ LEAST_STEP = 1e-9  # from one to the next, of what the curve spans
 END = 1.0 / 64.0  # of its range: how steep it is there tells how it goes on beyond
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Curve:
     """
     ``shown = linear + offset``; where there is a text, ``shown = f(linear - d u) + d u``.

@@ -13,6 +13,7 @@ from vsensor_ros.observers.kinds import (
     kind_named,
     kind_names,
     register,
+    StepOfSome,
     Told,
     Tracked,
 )
@@ -28,6 +29,6 @@ from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep
 register(FUNCTIONAL)
 
 __all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Rung', 'Told', 'Tracked', 'Tracking',
+           'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
            'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
            'settling_time']

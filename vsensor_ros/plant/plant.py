@@ -81,6 +81,7 @@ class Plant:
     input_delay: np.ndarray             # (m,) s, u acts so much later than it is given
     sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
     sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
+    remarks: tuple[str, ...]            # what is to be told of how the file was read
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
@@ -98,6 +99,7 @@ class Plant:
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
                       curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
                       sensor_delay: Any = None, sensor_rate: Any = None,
+                      remarks: Sequence[str] = (),
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
@@ -184,7 +186,8 @@ class Plant:
             wrap=_turns(wrap, len(c), where), curves=_curves(curves or {}, sensor_names, where),
             input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
             sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
-            sensor_rate=_rates(sensor_rate, len(c), where))
+            sensor_rate=_rates(sensor_rate, len(c), where),
+            remarks=tuple(check_text(text, where, 'remarks') for text in remarks))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """

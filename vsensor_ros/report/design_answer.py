@@ -16,15 +16,20 @@ WIDTH = 99
 
 
 def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
-           places: Sequence[Location] | None = None, plant: Plant | None = None) -> str:
+           places: Sequence[Location] | None = None, plant: Plant | None = None,
+           advice: Sequence[str] = ()) -> str:
     """
     Return what a person reads: what can be lost, then a block for each of some fault sets.
 
-    ``blocks``: fault sets to print blocks for, by default all.
+    ``blocks``: fault sets to print blocks for, by default all. ``advice``: what is to be minded,
+    besides the plant's remarks.
     """
     time = ('continuous time' if result.sample_time is None
             else f'sample time {result.sample_time:g} s')
     lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
+    minded = [*(() if plant is None else plant.remarks), *advice]
+    if minded:
+        lines += ['Mind', *(line for text in minded for line in _hanging('-', text, 2)), '']
     if any(result.fault_sets):
         lines.append('Sensors that this plant can afford to lose at the same time')
     for size, sentences in design_text.loss_lines(result):

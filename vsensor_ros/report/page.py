@@ -180,6 +180,7 @@ def _plant(plant: Plant) -> str:
              ('unknown inputs', '; '.join(acts) or 'none'),
              ('nonlinear terms', ', '.join(f'<code>{escape(t.name)}</code>' for t in plant.terms)
               or 'none')]
+    facts += [('note', escape(remark)) for remark in plant.remarks]
     return ('<h2>The plant</h2>' + _facts(facts) + _table(
         measures, ('sensor', 'measures', 'noise (standard deviation)'), (2,)))
 

@@ -16,9 +16,10 @@ import numpy as np
 from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry
-from vsensor_ros.observers.kinds.batch import Batch, Bent, Told, Tracked
+from vsensor_ros.observers.kinds.batch import Batch, Bent, StepOfSome, Told, Tracked
 
-__all__ = ['Batch', 'Bent', 'Kind', 'Told', 'Tracked', 'kind_named', 'kind_names', 'register']
+__all__ = ['Batch', 'Bent', 'Kind', 'StepOfSome', 'Told', 'Tracked', 'kind_named', 'kind_names',
+           'register']
 
 
 @dataclass(frozen=True)

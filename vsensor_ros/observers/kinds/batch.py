@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -37,12 +37,16 @@ class Tracked(NamedTuple):
 
 
 class Bent(NamedTuple):
-    """How the error of a free run begins and grows whose nonlinear terms bend it."""
+    """How the error of a free run begins and grows whose nonlinear terms bend it; k is its own."""
 
     start: np.ndarray  # (k, k) covariance of z at its start
     growth: np.ndarray  # (k, k) what a step adds
     row: np.ndarray  # (k,) of z in what it says
     direct: float  # variance of what it says beside that
+
+
+# takes the states (n, k) of n runs, and what was told, as `Batch.step`
+StepOfSome = Callable[[np.ndarray, Told, Told, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,9 +97,21 @@ class Batch(ABC):
         who saw an argument outside of a function's domain (R,) bool.
         """
 
+    def step_of(self, rows: np.ndarray) -> StepOfSome:
+        """
+        Return what steps the states of some runs alone; rows (n,) int may repeat.
+
+        It is asked of kinds with `tracked` ones only.
+        """
+        raise NotImplementedError
+
     @abstractmethod
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return the outputs (.., O) of states (.., V, k), readings (.., L), commands (.., m)."""
+
+    def estimate(self, output: int, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return one output (..) of states (.., k) of one of its runs; see `step_of`."""
+        raise NotImplementedError
 
     def waiting(self, output: int, z: np.ndarray, age: float) -> float:
         """Return the time [s] until it is ready, at an age [s]; inf: that is not known."""
@@ -126,11 +142,12 @@ class Batch(ABC):
         """Return between what bounds the truth is for certain; None: there are none."""
         return None
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True,
+              output: int | None = None) -> np.ndarray:
         """
-        Return how far outputs (O,) may be off, one standard deviation.
+        Return how far outputs (O,), or one (1,), may be off, one standard deviation.
 
         That is when readings have moved at these slopes (L,) [1/s], unseen for these ages (L,)
         [s]; direct: they are still held, and not only felt in the states.
         """
-        return np.zeros(len(self.keys))
+        return np.zeros(len(self.keys) if output is None else 1)

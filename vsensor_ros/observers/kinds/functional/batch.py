@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.batch import Batch, Bent, Told, Tracked
+from vsensor_ros.observers.kinds.batch import Batch, Bent, StepOfSome, Told, Tracked
 from vsensor_ros.observers.kinds.functional.convergence import (
     converge,
     Convergence,
@@ -17,7 +17,7 @@ from vsensor_ros.observers.kinds.functional.convergence import (
     Region,
     region_of,
 )
-from vsensor_ros.observers.kinds.functional.step import make_step, pad, Step, widen
+from vsensor_ros.observers.kinds.functional.step import make_step, pad, Step, step_of, widen
 from vsensor_ros.observers.kinds.functional.tracking import deviation_after, tracker
 from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 from vsensor_ros.reason import Reason
@@ -53,12 +53,23 @@ class FunctionalBatch(Batch):
              commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Step all at once, see step.py."""
         assert self.fused is not None
-        return self.fused(z, before.y, after.y, *commands, before.held, after.held)
+        return _stepped(self.fused, z, before, after, commands)
+
+    def step_of(self, rows: np.ndarray) -> StepOfSome:
+        """Take their slices of all matrices."""
+        assert self.fused is not None
+        fused = step_of(self.fused, rows)
+        return lambda z, before, after, commands: _stepped(fused, z, before, after, commands)
 
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return vhat (.., V) for states (.., V, k), readings (.., L), commands (.., m)."""
         found = (self.Cv * z).sum(axis=-1) + y @ self.Q.T
         return found if self.Qu is None else found + held @ self.Qu.T
+
+    def estimate(self, output: int, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return vhat (..) of one."""
+        found = (self.Cv[output] * z).sum(axis=-1) + y @ self.Q[output]
+        return np.asarray(found if self.Qu is None else found + held @ self.Qu[output])
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether an argument of a virtual sensor is where nothing is proved of it."""
@@ -84,18 +95,20 @@ class FunctionalBatch(Batch):
         """Return how the error of a free run grows where it has nonlinear terms."""
         return self.bends[i]
 
-    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True) -> np.ndarray:
+    def reach(self, slopes: np.ndarray, ages: np.ndarray, direct: bool = True,
+              output: int | None = None) -> np.ndarray:
         """
-        Return how far vhat (V,) may be off when readings have moved unseen.
+        Return how far vhat (V,), or that of one (1,), may be off when readings have moved unseen.
 
         A reading that has moved at its slope for its age is wrong by slope x age. What vhat is off
         then has two bounds, and the smaller one counts: the peak gain times that; and what a ramp
         of this slope does at once, through Q (if direct), and through z.
         """
-        through = self.pushes * ages * (ages + self.sample_time) / 2
+        some = slice(None) if output is None else slice(output, output + 1)
+        through = self.pushes[some] * ages * (ages + self.sample_time) / 2
         if direct:
-            through = np.abs(self.Q) * ages + through
-        reach = np.minimum(self.gains * ages, through)
+            through = np.abs(self.Q[some]) * ages + through
+        reach = np.minimum(self.gains[some] * ages, through)
         moved: np.ndarray = np.where(reach > 0.0, reach * slopes, 0.0)
         return np.linalg.norm(moved, axis=1)
 
@@ -156,19 +169,23 @@ def make_batch(entries: Sequence[VirtualSensor], design: Contents, period: float
         sample_time=design.sample_time or 0.0,
         convergence=convergence,
         drifts=np.array([deviation_after(kept[t.own], _AFTER) for t in tracked]),
-        bends=tuple(_bent(kept[t.own], k, period) for t in tracked),
+        bends=tuple(_bent(kept[t.own], period) for t in tracked),
         drifting=tuple(temporary.get(i, -1) for i in range(len(kept))),
         regions=regions)
 
 
-def _bent(v: VirtualSensor, k: int, period: float) -> Bent | None:
+def _stepped(step: Step, z: np.ndarray, before: Told, after: Told,
+             commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    start, end, mean = commands
+    return step(z, before.y, after.y, start, end, mean, before.held, after.held)
+
+
+def _bent(v: VirtualSensor, period: float) -> Bent | None:
     if not v.active:
         return None
     assert v.tracking is not None
     step = period if v.sample_time is None else 1.0
-    wide = (0, k - v.order)
-    return Bent(np.pad(v.tracking.P, (wide, wide)), np.pad(step * v.tracking.W, (wide, wide)),
-                np.pad(v.Cv[0], wide), v.tracking.direct)
+    return Bent(v.tracking.P, step * v.tracking.W, v.Cv[0], v.tracking.direct)
 
 
 def _helpers(kept: Sequence[VirtualSensor], sensors: tuple[str, ...],

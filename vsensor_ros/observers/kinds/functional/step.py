@@ -8,8 +8,9 @@ method, and L sensors, m commands, S terms with r arguments (the most of one vir
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from copy import copy
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,14 +23,19 @@ from vsensor_ros.functions.nonlinearity import (
 from vsensor_ros.observers.kinds.functional.discretise import phi_functions
 from vsensor_ros.observers.kinds.functional.virtual_sensor import VirtualSensor
 
-# Takes z (V, k), the readings at both ends of the step (L,), the commands at both ends and their
-# mean (m,), and those that hold from either end on (m,), which readings taken there have seen: not
-# needed where all Gu are zero. Returns z at the end (V, k) and who was outside a domain (V,).
-Step = Callable[..., tuple[np.ndarray, np.ndarray]]
 NOTHING = np.zeros(0)
 
 _SWEEPS = 100  # of Gauss-Seidel at most; one sign term needs one
 _STUCK = 1e-9  # of what friction changes in one step: anything slower stands still
+
+
+class Step(Protocol):
+    """Takes z (V, k), readings and commands, see `make_step`."""
+
+    def __call__(self, z: np.ndarray, y0: np.ndarray, y1: np.ndarray, u0: np.ndarray,
+                 u1: np.ndarray, u: np.ndarray, held0: np.ndarray = NOTHING,
+                 held1: np.ndarray = NOTHING) -> tuple[np.ndarray, np.ndarray]:
+        """Return z at the end of the step, and who was outside of a function's domain (V,)."""
 
 
 def make_step(
@@ -37,6 +43,10 @@ def make_step(
 ) -> Step:
     """
     Build the fused step of period h [s] for the virtual sensors (at least one) of one design.
+
+    It takes the readings at both ends of the step (L,), the commands at both ends and their mean
+    (m,), and those that hold from either end on (m,), which readings taken there have seen: not
+    needed where all Gu are zero.
 
     Discrete plants: the map itself, with the readings at the beginning of the step and the mean
     command. Continuous plants: exact in the linear part for readings that are linear in time,
@@ -46,6 +56,17 @@ def make_step(
     if virtual_sensors[0].sample_time is not None:
         return _Map(virtual_sensors, sensors)
     return _Flow(virtual_sensors, sensors, h)
+
+
+def step_of(step: Step, rows: np.ndarray) -> Step:
+    """Return the step of some of its virtual sensors alone; rows (n,) int may repeat."""
+    found = copy(step)
+    for name, value in vars(step).items():
+        if isinstance(value, np.ndarray):
+            setattr(found, name, value[rows])
+        elif isinstance(value, _Terms):
+            setattr(found, name, value.of(rows))
+    return found
 
 
 def pad(arrays: Sequence[np.ndarray]) -> np.ndarray:
@@ -68,6 +89,15 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (matrices @ vectors[..., None])[..., 0]
 
 
+class _Function(NamedTuple):
+    """What equal terms compute of their r arguments (r, n)."""
+
+    width: int  # r
+    value: Any
+    slope: np.ndarray | None  # (r,) taken out of it; None: nothing
+    outside: Any  # None: it is defined everywhere
+
+
 class _Terms:
     """
     Chosen terms of each virtual sensor: P (V, k, S), Gz (V, S r, k), Gy (V, S r, L), Gu (.., m).
@@ -78,8 +108,8 @@ class _Terms:
     def __init__(self, virtual_sensors: Sequence[VirtualSensor], sensors: Sequence[str],
                  chosen: Sequence[Sequence[int]]) -> None:
         V, S = len(virtual_sensors), max(map(len, chosen))
-        r = max([len(v.terms[i].slope) for v, on in zip(virtual_sensors, chosen) for i in on],
-                default=0)
+        self._r = r = max([len(v.terms[i].slope) for v, on in zip(virtual_sensors, chosen)
+                           for i in on], default=0)
         k = max(v.order for v in virtual_sensors)
         inputs = virtual_sensors[0].inputs
         self.P = np.zeros((V, k, S))
@@ -97,41 +127,59 @@ class _Terms:
                 rows.append(row)
                 slots.append(slot)
         self.Gz, self.Gy, self.Gu = (G.reshape(V, S * r, G.shape[3]) for G in (Gz, Gy, Gu))
+        self._lay_out([(
+            _Function(len(term.slope), compile_term(term, inputs),
+                      term.slope if term.slope.any() else None,
+                      compile_outside_domain(term, inputs)),
+            np.array(rows), np.array(slots)) for term, rows, slots in same.values()])
 
-        where = np.arange(V * S * r).reshape(V, S, r)
-        gather = [where[rows, slots, :len(term.slope)].T.ravel()
-                  for term, rows, slots in same.values()]
-        # equal terms side by side: their arguments, one (r, n) block each, and their values
-        self._gather = np.concatenate([np.zeros(0, dtype=int), *gather])
-        self._blocks: list[tuple[slice, tuple[int, int], slice, Any, Any, Any, list[int]]] = []
-        values = sum(len(rows) for _, rows, _ in same.values())
+    def _lay_out(self, same: list[tuple[_Function, np.ndarray, np.ndarray]]) -> None:
+        """Put equal terms side by side: their arguments, one (r, n) block each, and values."""
+        self._same = same  # with the rows (n,) and slots (n,) in which each stands
+        V, S = self.P.shape[0], self.P.shape[2]
+        where = np.arange(V * S * self._r).reshape(V, S, self._r)
+        self._gather = np.concatenate([np.zeros(0, dtype=int), *(
+            where[rows, slots, :function.width].T.ravel() for function, rows, slots in same)])
+        self._blocks: list[tuple[slice, tuple[int, int], slice, _Function, np.ndarray]] = []
+        values = sum(len(rows) for _, rows, _ in same)
         self._scatter = np.full((V, S), values)  # one more value, always 0, for empty slots
         self._values = np.zeros(values + 1)
         at, start = 0, 0
-        for term, rows, slots in same.values():
-            n, width = len(rows), len(term.slope)
+        for function, rows, slots in same:
+            n, width = len(rows), function.width
             self._scatter[rows, slots] = np.arange(start, start + n)
-            self._blocks.append((
-                slice(at, at + width * n), (width, n), slice(start, start + n),
-                compile_term(term, inputs), term.slope if term.slope.any() else None,
-                compile_outside_domain(term, inputs), rows))
+            self._blocks.append((slice(at, at + width * n), (width, n), slice(start, start + n),
+                                 function, rows))
             at, start = at + width * n, start + n
+
+    def of(self, rows: np.ndarray) -> _Terms:
+        """Return those of some virtual sensors alone; rows (n,) int may repeat."""
+        found = copy(self)
+        found.P, found.Gz, found.Gy, found.Gu = (
+            matrix[rows] for matrix in (self.P, self.Gz, self.Gy, self.Gu))
+        same = []
+        for function, own, slots in self._same:
+            new, at = np.nonzero(rows[:, None] == own)
+            if new.size:
+                same.append((function, new, slots[at]))
+        found._lay_out(same)
+        return found
 
     def __call__(self, w: np.ndarray, u: np.ndarray) -> np.ndarray:
         flat, values = w.ravel()[self._gather], self._values
-        for arguments, shape, out, f, slope, _, _ in self._blocks:
+        for arguments, shape, out, function, _ in self._blocks:
             block = flat[arguments].reshape(shape)
-            values[out] = f(block, u)
-            if slope is not None:
-                values[out] -= slope @ block
+            values[out] = function.value(block, u)
+            if function.slope is not None:
+                values[out] -= function.slope @ block
         return values[self._scatter]
 
     def outside(self, w: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Tell for each virtual sensor whether a function sees what is not in its domain."""
         result, flat = np.zeros(len(w), dtype=bool), w.ravel()[self._gather]
-        for arguments, shape, _, _, _, outside, rows in self._blocks:
-            if outside is not None:
-                result[rows] |= outside(flat[arguments].reshape(shape), u)
+        for arguments, shape, _, function, rows in self._blocks:
+            if function.outside is not None:
+                result[rows] |= function.outside(flat[arguments].reshape(shape), u)
         return result
 
 
