@@ -1,5 +1,6 @@
 """What goes on from the last good readings: from where, how surely, and why it does not."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -352,6 +353,18 @@ def _lost_after(steps, bank, said):
             bank.distrust({'angle'})
         if k >= steps:
             yield k
+
+
+def test_a_copy_goes_on_by_itself(bench, made):
+    """A replay copies the engine at each loss: the copy must not look at the original's readings."""
+    copied, alone = (Run(bench, made).until(3000) for _ in range(2))
+    copied.bank = deepcopy(copied.bank)
+    for run in (copied, alone):
+        run.bank.distrust({'angle'})
+        run.until(6000)
+        assert run.bank.ready(*KEY)
+    assert (copied.bank.estimate(*KEY), copied.deviation) == (alone.bank.estimate(*KEY),
+                                                              alone.deviation)
 
 
 def test_the_surer_of_two_runs_serves_and_not_by_turns(bench):

@@ -43,7 +43,7 @@ class Inputs:
                  curves: Mapping[str, Curve] = MappingProxyType({}),
                  shifts: Mapping[str, int] = MappingProxyType({})) -> None:
         self.ages, self.commands, self._wants_held = ages, commands, held
-        self._ends, self._least = ends, least
+        self._ends, self._least = dict(ends), least
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
         self.everything: np.ndarray = np.ones(len(ages) + len(commands), dtype=bool)
