@@ -1,5 +1,6 @@
 """What goes on from the last good readings: from where, how surely, and why it does not."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -399,6 +400,17 @@ def test_each_kind_has_its_own(bench, made):
         assert all((stepped[row] == alone[of_part]).all() for row, of_part in rows)
         assert here.temporary == there.temporary == (part is parts[2])
         assert (composed.drift(i, np.ones(1)) == part.drift(own, np.ones(1))).all()
+
+
+def test_a_copy_goes_on_by_itself(bench, made):
+    """A recording is played on from one bank again and again."""
+    run = Run(bench, made, 8.0, command_ends={}, guard={}).until(3000)
+    copied = deepcopy(run)
+    for each in (run, copied):
+        each.bank.distrust({'angle'})
+        each.until(4000)
+    assert copied.deviation == run.deviation < 0.01
+    assert copied.bank.estimate(*KEY) == run.bank.estimate(*KEY)
 
 
 def test_nothing_grows_without_end(bench, made):

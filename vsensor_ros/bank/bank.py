@@ -8,6 +8,8 @@ from itertools import islice
 import math
 from types import MappingProxyType
 
+import numpy as np
+
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.deviations import Deviations
 from vsensor_ros.bank.estimates import Estimates
@@ -46,7 +48,7 @@ class Bank(Steps):
                                 self._short_way)
         self._deviations = Deviations(
             self._batch, self._runs, self._spreads, self._measured, self._past,
-            self.period * 1e-9, lambda tick: self._told.ages_at(self._at(tick)), self._widening)
+            self.period * 1e-9, self._ages_at, self._widening)
         self._estimates = Estimates(self._batch, self._runs, self._serving, self._measured,
                                     self._past, self.period * 1e-9, self.angles)
 
@@ -315,6 +317,10 @@ class Bank(Steps):
             return Counter()
         counts = getattr(self._past[-1], what)[self._batch.of]
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
+
+    def _ages_at(self, tick: int) -> np.ndarray:
+        """Return how old [s] the last reading of each sensor is (L,)."""
+        return self._told.ages_at(self._at(tick))
 
     def _widening(self, output: int) -> float:
         """Return by what factor it is worse now than usual, by what healthy sensors show."""
