@@ -350,6 +350,7 @@ class Bank(Steps):
         return Counter({key: int(n) for key, n in zip(self._batch.keys, counts) if n})
 
     def _ages_at(self, tick: int) -> np.ndarray:
+        """Return how old [s] the last reading of each sensor is (L,)."""
         return self._told.ages_at(self._at(tick))
 
     def _widening(self, output: int) -> float:
