@@ -88,16 +88,18 @@ def natural_sizes(plant: Plant, healthy: list[int], failed: list[int],
     What a reading or a wanted row is made of is taken to be of one size, where nothing else tells.
     The noise that is given is RELATIVE of the size of what is read, in the median of the healthy
     sensors; where none of these has any, of the failed ones. Next come the states' ranges, half
-    of which is their size; next what the inputs move within the largest time constant, with half
-    their ranges, their operating values, or 1.
+    of which is their size, or the operating value if that is less; next what the inputs move
+    within the largest time constant, with half their ranges or their operating values. Where
+    nothing is known readings are of size 1.
     """
     made = couplings(plant)
     rows = np.vstack([plant.C[healthy], wanted])
     sizes, group = _joined(made.sizes, made.group, rows)
     found = np.ones(group.max() + 1)
-    given = _own(plant.input_range, plant.operating_input, np.ones(len(plant.inputs)))
+    given = _own(plant.input_range, plant.operating_input, np.zeros(len(plant.inputs)))
     driven = np.linalg.norm(_moved(plant) / sizes[:, None] * given, axis=1)
-    half = 0.5 * (plant.ranges[:, 1] - plant.ranges[:, 0])
+    half, point = 0.5 * (plant.ranges[:, 1] - plant.ranges[:, 0]), np.abs(plant.operating_point)
+    half = np.where((point > 0.0) & (half < np.inf), np.minimum(half, point), half)
     for g in range(len(found)):
         here = group == g
         rate = [_said(plant, sensors, sizes, here) for sensors in (healthy, failed)]
