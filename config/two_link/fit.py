@@ -44,7 +44,7 @@ STEP, APART = 0.002, 60  # s, and samples between the starts of windows
 BOTH, ALONE = 300, 600  # samples for which both joints, and the elbow alone, are simulated
 SIZES = np.array([0.02, 0.05, 0.2, 0.5])  # rad, rad/s that weigh alike
 LOAD = 0.01  # N m per sqrt(s)
-SHOULDER, ELBOW = 0.3, 0.5  # rad/s^2 per sqrt(Hz): by benchmark.arm_noise
+SHOULDER, ELBOW = 0.1, 0.5  # rad/s^2 per sqrt(Hz): by benchmark.arm_noise
 
 
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:

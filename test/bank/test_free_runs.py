@@ -356,7 +356,7 @@ def _lost_after(steps, bank, said):
 
 
 def test_a_copy_goes_on_by_itself(bench, made):
-    """A replay copies the engine at each loss: the copy must not look at the original's readings."""
+    """A replay copies the engine at each loss: the copy must not look at the original."""
     copied, alone = (Run(bench, made).until(3000) for _ in range(2))
     copied.bank = deepcopy(copied.bank)
     for run in (copied, alone):
