@@ -60,6 +60,8 @@ SENTENCES: dict[str, Sentence] = {
     'then',
     'command unusable': 'nothing of {name} could be used for {seconds:.1f} s',
     'estimate not finite': 'its estimate is not finite',
+    'lost on its way': 'states that are as likely have gone far from it since the loss: nothing '
+    'is known of its error',
     'about to start': 'starts with the next step',
     'too uncertain': 'its standard deviation {deviation:.3g} is above max_deviation {limit:.3g}',
     'not tracked yet': 'its channel was lost before it was known well enough to go on without it, '

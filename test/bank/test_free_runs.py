@@ -8,6 +8,7 @@ import pytest
 
 from vsensor_ros.bank import Bank, composite, steps
 from vsensor_ros.observers import Noise, Told
+from vsensor_ros.reason import Reason
 
 MS = 1_000_000
 RATE, PERIOD = 50, 20
@@ -353,6 +354,17 @@ def _lost_after(steps, bank, said):
             bank.distrust({'angle'})
         if k >= steps:
             yield k
+
+
+def test_what_is_lost_on_its_way_does_not_serve(bench, made, monkeypatch):
+    """An infinite deviation is no deviation that nobody stated: it is known that nothing is."""
+    run = Run(bench, made).until(3000)
+    run.bank.distrust({'angle'})
+    run.until(3100)
+    assert run.bank.ready(*KEY)
+    monkeypatch.setattr(run.bank._deviations, 'along', lambda i, state: np.inf)
+    run.until(3200)
+    assert not run.bank.ready(*KEY) and run.bank.why_not(*KEY) == Reason('lost on its way')
 
 
 def test_a_copy_goes_on_by_itself(bench, made):

@@ -370,6 +370,8 @@ class Bank(Steps):
 
     def _why_invalid(self, output: int) -> Reason | None:
         state = self._past[-1]
+        if self._serving.is_free(output) and self._deviations.lost(output, state):
+            return Reason('lost on its way')
         return self._batch.invalid(output, self._runs.serving(state.z), state.told,
                                    self._serving.age(output))
 

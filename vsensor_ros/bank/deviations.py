@@ -70,6 +70,12 @@ class Deviations:
         """Return what came of a flight's error along its way; 0: as much as `drift` tells."""
         return self._spreads.deviation(i, state)
 
+    def lost(self, output: int, state: State) -> bool:
+        """Tell whether nothing can be told of where a flight is by now."""
+        i = self._tracked[output]
+        assert i is not None
+        return self.along(i, state) == math.inf
+
     def if_lost(self, output: int, guard: float) -> float:
         """Return the deviation of a tracked one if its channels were lost now; guard [s]."""
         i = self._tracked[output]
