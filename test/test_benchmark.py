@@ -115,6 +115,7 @@ def test_tick_with_tracking(monkeypatch):
     assert len({row.group for row in rows}) == 3
 
 
+@pytest.mark.slow
 def test_estimators_beside_filters(monkeypatch):
     pytest.importorskip('filterpy')
     monkeypatch.setattr(estimators, 'SCALES', (1.0, 1e1))
@@ -145,6 +146,7 @@ def test_the_peers_know_the_plant(case):
     assert known.jacobian(x) == pytest.approx(np.transpose(slopes), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_design_times(monkeypatch):
     pytest.importorskip('control')
     monkeypatch.setattr(designer, 'PLANTS', 2)
@@ -161,6 +163,7 @@ def test_design_times(monkeypatch):
         assert np.linalg.eigvals(make(30, 0).A).real.max() < 0.0
 
 
+@pytest.mark.slow
 def test_a_part_alone(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bank, 'measure', partial(bank.measure, sizes=(1,)))
     monkeypatch.setattr('benchmark.__main__.TICKS', 5)

@@ -112,6 +112,7 @@ def noisy_plant(seed):
     return plant, design(plant), truth
 
 
+@pytest.mark.slow
 def test_random_linear_plants():
     """Each in steady state; while they converge, in the mean over their starts."""
     converging = []

@@ -183,6 +183,7 @@ def each_of(cases):
     return with_examples
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 2))
 @each_of([(1081, which) for which in range(3)])  # whose peak is hardly above the gain at pi / h

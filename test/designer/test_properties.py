@@ -91,6 +91,7 @@ def test_every_virtual_sensor_satisfies_its_equations(plant):
             assert np.all(np.abs(eigenvalues) < 1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('without_alternatives')
 @settings(max_examples=25)
 @given(plants())

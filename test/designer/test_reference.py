@@ -264,6 +264,7 @@ def test_unknown_argument_of_a_nonlinear_term_is_named():
     assert 'sin(load)' in refusal.reason
 
 
+@pytest.mark.slow
 def test_a_row_of_tanks_reads_the_neighbours_only():
     """All levels are measured; those next to the failed one are enough."""
     n = 6

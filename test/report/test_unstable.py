@@ -47,6 +47,7 @@ def labels(text):
             for t in ElementTree.fromstring(svg).itertext() if t.strip()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('torque', ['torque', '5*torque*cos(angle)'])
 def test_an_unstable_plant_is_held(tmp_path, monkeypatch, torque):
     plant = pendulum(tmp_path, torque)
