@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from vsensor_ros import load_plant
+from vsensor_ros import design, load_plant
 from vsensor_ros.command.designer import main
 from vsensor_ros.observers import Certificate, Design, Limit, Refusal
 from vsensor_ros.report import design_text
@@ -363,3 +363,18 @@ def test_ctrl_c_ends_in_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('vsensor_ros.command.designer.design', stop)
     assert main([str(SERVO), '-o', str(tmp_path / 'x')]) == 130
     assert capsys.readouterr().err == 'designer: stopped\n' and not (tmp_path / 'x').exists()
+
+
+def test_a_long_term_is_written_out_once_and_what_forgets_in_steps_has_no_rate(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    path.write_text("""
+name: chain
+time: {sample_time: 2}
+states: {a: {}, b: {}}
+dynamics: {a: '0.5*tanh(a*1.25 + 0.125)*cos(a + 0.375)*exp(-a**2)', b: a}
+sensors: {y1: {measures: a}, y2: {measures: a}, y3: {measures: b}, y4: {measures: b}}
+""")
+    plant = load_plant(path)
+    text = answer(design(plant), plant=plant)
+    assert text.count('cos(a + 0.375)') == 1 and text.count('term 1 (of a)') > 1
+    assert 'dead beat (an error is down to 5 % in 2 s)' in text
