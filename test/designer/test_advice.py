@@ -53,7 +53,7 @@ def test_what_is_no_equilibrium_is_said_with_the_input_that_would_make_it_one(tm
     moved = PENDULUM + 'operating_point: {angle: 0.5}\n'
     plant, lines = minded(tmp_path, moved.replace('- 2*sign(speed)', ''))
     torque = 9.81 * np.sin(0.5) / 5
-    assert f'no equilibrium: speed {-5 * torque:+.3g} rad/s/s; it would be one at torque = ' \
+    assert f'no equilibrium: speed {-5 * torque:+.3g} rad/s^2; it would be one at torque = ' \
         f'{torque:.4g}' in lines[0]
     balanced = moved.replace('N m}', f'N m, operating: {torque}}}')
     assert not any('equilibrium' in line for line in minded(tmp_path, balanced)[1])

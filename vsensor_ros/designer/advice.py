@@ -18,6 +18,7 @@ from vsensor_ros.functions.expression import Apply, gradient, names, Node, parse
 from vsensor_ros.functions.nonlinearity import argument_names, evaluate, slope_at
 from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import Plant
+from vsensor_ros.plant.units import per_second
 
 UNBALANCED = 0.02  # of the addends of an equation: what is left of them at an equilibrium
 DEAR = 2.0  # times the noise without friction
@@ -118,8 +119,9 @@ def _unbalanced(plant: Plant) -> Iterator[str]:
 
 def _per(plant: Plant, i: int) -> str:
     unit = plant.units[plant.states[i]]
-    return f'{unit} a step'.strip() if plant.sample_time is not None else f'{unit}/s' \
-        if unit else 'per s'
+    if plant.sample_time is not None:
+        return f'{unit} a step'.strip()
+    return per_second(unit)
 
 
 def _mend(plant: Plant, left: Callable[[np.ndarray], np.ndarray], u: np.ndarray,
