@@ -14,6 +14,7 @@ from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant.plant import Plant
 
 MOST_ENDS = 10  # sides of the declared box whose 2**10 vertices are tried
+ROUNDING = 1e-9  # of the decay: an error that grows no faster stays
 BETWEEN, PARTS = 64, 4  # so many other points, each side in so many parts
 
 Side = tuple[str, bool, int, tuple[float, float]]  # name, whether an input, index, range
@@ -59,7 +60,7 @@ def unstable_at(plant: Plant, sensor: VirtualSensor) -> str:
 
 def _worst(plant: Plant, sensor: VirtualSensor, sides: Sequence[Side],
            points: Iterable[Sequence[float]]) -> str:
-    worst, where = 0.0, ''
+    worst, where = ROUNDING * abs(sensor.decay), ''
     for values in points:
         x, u = plant.operating_point.copy(), plant.operating_input.copy()
         for (_, is_input, j, _), value in zip(sides, values):

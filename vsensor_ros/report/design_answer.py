@@ -100,7 +100,8 @@ def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
     if not isinstance(entry, VirtualSensor):
         return [line for name, value in design_text.facts(entry, unit)
                 for line in _hanging(name, value, 18)]
-    terms = [short_name(i, entry.terms[i].name) for i in entry.active]
+    terms = [short_name(i, entry.terms[i].name) for i in entry.active
+             if entry.terms[i].text != '1']  # an offset of the equations, which bends nothing
     if entry.grade == 'temporary':
         facts = _good_for(entry, result, plant)
     else:

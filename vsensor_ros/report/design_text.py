@@ -168,9 +168,9 @@ def decay(entry: Entry) -> str:
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
-    rate = number(entry.decay, '1/s')
-    if entry.sample_time is not None and entry.decay * entry.sample_time > DEAD:
-        rate = 'dead beat'
+    step = entry.sample_time if isinstance(entry, VirtualSensor) else None
+    dead = step is not None and entry.decay * step > DEAD
+    rate = 'dead beat' if dead else number(entry.decay, '1/s')
     return f'{rate} (an error is down to 5 % in {number(settled, "s")})'
 
 
