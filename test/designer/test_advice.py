@@ -50,7 +50,8 @@ def test_an_estimate_that_is_worse_than_the_middle_of_the_range_is_said(tmp_path
 
 
 def test_what_works_outside_its_range_is_said(tmp_path):
-    text = PENDULUM.replace('rad, ', 'rad, range: [1, 2], ').replace('N m', 'N m, range: [null, -1]')
+    text = PENDULUM.replace('rad, ', 'rad, range: [1, 2], ').replace(
+        'N m', 'N m, range: [null, -1]')
     lines = [line for line in minded(tmp_path, text)[1] if 'outside its range' in line]
     assert lines[0].startswith('angle works at 0 rad, outside its range, 1 to 2: ')
     assert lines[1].startswith('torque works at 0 N m, outside its range, -inf to -1: ')

@@ -74,9 +74,9 @@ class Steps:
         self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
                         for name, delay in design.delays.items()}
         for name, shift in self._shifts.items():
-            if -shift >= _LONGEST * self.period:
-                raise BadInput('', name, f'is {-shift * 1e-9:g} s late, {-shift / self.period:.4g} '
-                               f'steps at {rate:g} Hz, of which {_LONGEST} are kept',
+            if (steps := -shift / self.period) >= _LONGEST:
+                raise BadInput('', name, f'is {-shift * 1e-9:g} s late, {steps:.4g} steps at '
+                               f'{rate:g} Hz, of which {_LONGEST} are kept',
                                'lower the rate, or the delay in the plant file')
         ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
         # steps that can be taken back; readings from before are as they were held

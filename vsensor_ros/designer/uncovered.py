@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -15,7 +16,7 @@ from vsensor_ros.plant.plant import Plant
 
 MOST_ENDS = 10  # sides of the declared box whose 2**10 vertices are tried
 ROUNDING = 1e-9  # of the decay: an error that grows no faster stays
-BETWEEN, PARTS = 64, 4  # so many other points, each side in so many parts
+BETWEEN, PARTS = 32, 4  # so many other points, each side in so many parts
 
 Side = tuple[str, bool, int, tuple[float, float]]  # name, whether an input, index, range
 
@@ -43,6 +44,7 @@ def uncovered(plant: Plant, sensor: VirtualSensor,
     return ', '.join(parts) + (f'; unstable at {worst}' if worst else '')
 
 
+@lru_cache(maxsize=64)
 def unstable_at(plant: Plant, sensor: VirtualSensor) -> str:
     """
     Name the point of the declared ranges at which an error grows most, ''; frozen slopes.
