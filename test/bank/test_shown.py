@@ -153,6 +153,15 @@ def test_dead_times_are_held_in_the_bank(tmp_path, text, lost, error):
     assert np.abs(played(plant, blind, t, u, lost, 500)[1] - truth).max() > 0.02
 
 
+def test_what_is_later_than_states_are_kept_is_refused(tmp_path):
+    text = LATE.replace('delay: 0.06, stamp_offset: 0.04', 'delay: 20')
+    late = design(loaded(tmp_path, text))
+    with pytest.raises(ValueError, match='first: is 20 s late, 1000 steps at 50 Hz, of which 1000 '
+                       'are kept; lower the rate'):
+        Bank(late, RATE)
+    Bank(late, 20.0)
+
+
 def test_a_late_sensor_is_silent_as_soon_as_a_prompt_one(tmp_path):
     bank = Bank(design(loaded(tmp_path, LATE)), RATE)
     for name in ('first', 'second', 'u'):

@@ -10,9 +10,10 @@ import sys
 import numpy as np
 import pytest
 
-from vsensor_ros import load_plant
+from vsensor_ros import design, load_plant
 from vsensor_ros.command.designer import main
 from vsensor_ros.observers import Certificate, Design, Limit, Refusal
+from vsensor_ros.observers.kinds.functional.term_name import LONGEST, short_name
 from vsensor_ros.report import design_text
 from vsensor_ros.report.design_answer import answer
 
@@ -47,8 +48,10 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             left = design_text.left_out(entry)
             assert f'{title}: can be replaced{some}{left} order' in ' '.join(block.split())
             assert f'order             {entry.order} (' in block
-            assert all(''.join(entry.terms[i].name.split()) in ''.join(block.split())
-                       for i in entry.active)
+            assert all(''.join(short_name(i, entry.terms[i].name).split()) in ''.join(
+                block.split()) for i in entry.active if entry.terms[i].text != '1')
+            assert all(''.join(said.split()).count(''.join(entry.terms[i].name.split())) == 1
+                       for i in entry.active if len(entry.terms[i].name) > LONGEST)
             assert all(name in block for name in entry.reads)
     assert said.endswith(f'; written to {path}\n')
     assert f'\n\n{len(result.virtual_sensors)} of {len(result.entries)} can be replaced' in said
@@ -363,3 +366,18 @@ def test_ctrl_c_ends_in_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('vsensor_ros.command.designer.design', stop)
     assert main([str(SERVO), '-o', str(tmp_path / 'x')]) == 130
     assert capsys.readouterr().err == 'designer: stopped\n' and not (tmp_path / 'x').exists()
+
+
+def test_a_long_term_is_written_out_once_and_what_forgets_in_steps_has_no_rate(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    path.write_text("""
+name: chain
+time: {sample_time: 2}
+states: {a: {}, b: {}}
+dynamics: {a: '0.5*tanh(a*1.25 + 0.125)*cos(a + 0.375)*exp(-a**2)', b: a}
+sensors: {y1: {measures: a}, y2: {measures: b}}
+""")
+    plant = load_plant(path)
+    text = ' '.join(answer(design(plant, [('y1',), ('y2',), ('y1', 'y2')]), plant=plant).split())
+    assert text.count('cos(a + 0.375)') == 1 and text.count('term 1 (of a)') > 2
+    assert 'dead beat (an error is down to 5 % in 2 s)' in text

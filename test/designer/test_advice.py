@@ -49,11 +49,21 @@ def test_an_estimate_that_is_worse_than_the_middle_of_the_range_is_said(tmp_path
     assert minded(tmp_path, ROBOT.replace('noise: 0.5', 'noise: 0.0005'))[1] == ()
 
 
+def test_what_works_outside_its_range_is_said(tmp_path):
+    text = PENDULUM.replace('rad, ', 'rad, range: [1, 2], ').replace(
+        'N m', 'N m, range: [null, -1]')
+    lines = [line for line in minded(tmp_path, text)[1] if 'outside its range' in line]
+    assert lines[0].startswith('angle works at 0 rad, outside its range, 1 to 2: ')
+    assert lines[1].startswith('torque works at 0 N m, outside its range, -inf to -1: ')
+    inside = text.replace('[null, -1]', '[-1, 0]') + 'operating_point: {angle: 1}\n'
+    assert not any('outside its range' in line for line in minded(tmp_path, inside)[1])
+
+
 def test_what_is_no_equilibrium_is_said_with_the_input_that_would_make_it_one(tmp_path):
     moved = PENDULUM + 'operating_point: {angle: 0.5}\n'
     plant, lines = minded(tmp_path, moved.replace('- 2*sign(speed)', ''))
     torque = 9.81 * np.sin(0.5) / 5
-    assert f'no equilibrium: speed {-5 * torque:+.3g} rad/s/s; it would be one at torque = ' \
+    assert f'no equilibrium: speed {-5 * torque:+.3g} rad/s^2; it would be one at torque = ' \
         f'{torque:.4g}' in lines[0]
     balanced = moved.replace('N m}', f'N m, operating: {torque}}}')
     assert not any('equilibrium' in line for line in minded(tmp_path, balanced)[1])

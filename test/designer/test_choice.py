@@ -272,3 +272,16 @@ dynamics: {x: -x - sin(a*x/7)}
 sensors: {X: {measures: x}, Y: {measures: x}}
 """)
     assert plant.terms[0].name == 'sin(52.1066*x)'
+
+
+def test_what_is_unstable_only_between_the_ends_of_a_range_is_said():
+    """Of sin(2 a) the slope is steepest in the middle, and falls at both ends."""
+    plant = Plant.from_matrices(
+        -np.eye(2), [[1], [0]], np.eye(2), P=[1.5, 0], G=[[1, 0]], nonlinearities=['sin(2*w1)'],
+        ranges=[[-1.5, 1.5], [-1, 1]], operating_point=[1.5, 0], operating_input=[1.3])
+    slope = 3 * np.cos(3.0)
+    A = [[slope - 1, 0], [0, -1]]
+    plant = replace(plant, A=np.array(A), terms=(replace(
+        plant.terms[0], slope=np.array([2 * np.cos(3.0)])),))
+    found = design(plant, [('y1',)])[('y1',), 'y1']
+    assert 'unstable at x1 = 0, where an error grows at 2 1/s' in found.certificate.uncovered

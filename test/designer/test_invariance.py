@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
-from vsensor_ros import design, Plant
+from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.designer.natural_size import couplings, natural_sizes, reaches
 from vsensor_ros.observers import VirtualSensor
 
@@ -162,3 +162,26 @@ def test_natural_sizes_are_what_steady_state_makes_them():
     ranged = natural_sizes(replace(plant, ranges=np.array([[-np.inf, np.inf], [0.0, 6.0]])), [0],
                            [], np.zeros((0, 2)))
     np.testing.assert_allclose(ranged, [12.0, 3.0])
+
+
+@pytest.mark.parametrize('per', ['s', 'min', 'h'])
+def test_the_unit_of_time_decides_nothing(tmp_path, per):
+    """At the end of its range b neither grows nor dies out, but for rounding."""
+    seconds = {'s': 1, 'min': 60, 'h': 3600}[per]
+    path = tmp_path / 'plant.yaml'
+    path.write_text(f"""
+name: tanks
+time: continuous
+time_unit: {per}
+parameters: {{s: {seconds}}}
+states:
+  a: {{range: [0, 4], process_noise: 0.02*sqrt(s)}}
+  b: {{range: [0, 4], process_noise: 0.02*sqrt(s)}}
+inputs: {{u: {{operating: 1, range: [0.5, 2]}}}}
+operating_point: {{a: 1, b: 1}}
+dynamics: {{a: 0.5*s*(u - a), b: 0.2*s*(a - b*sqrt(b))}}
+sensors: {{ya: {{measures: a, noise: 0.01}}, yb: {{measures: b, noise: 0.01}}}}
+""")
+    found = design(load_plant(path), [('yb',)])[('yb',), 'yb']
+    assert found.decay == pytest.approx(0.3) and found.order == 1
+    assert 'unstable' not in found.certificate.uncovered

@@ -1,6 +1,7 @@
 """Virtual sensors that their channel tracks, and how they drift off: against simulated noise."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from vsensor_ros.observers.kinds.functional.convergence import converge
 from vsensor_ros.observers.kinds.functional.discretise import phi_functions
 from vsensor_ros.observers.kinds.functional.tracking import tracker
 
+BASE = Path(__file__).parents[2] / 'config/base/plant.yaml'
 INTERVAL = 0.01  # s, between readings
 FINER = 3  # steps of the truth between two of them
 
@@ -74,12 +76,20 @@ def temporary(plant, fault_set, channel):
 @pytest.mark.parametrize('plant, fault_set, order', [
     (joint(), ('encoder',), 1), (base(), ('x',), 1), (base(), ('y',), 1),
     (base(), ('y', 'heading'), 2), (base(), ('x', 'y', 'heading'), 1), (drive(), ('position',), 2),
-    (pendulum(), ('angle',), 2), (masses(), ('y1',), 4), (stepwise(), ('level',), 1)])
+    (pendulum(), ('angle',), 2), (masses(), ('y1',), 3), (stepwise(), ('level',), 1)])
 def test_a_mode_that_stays_is_served_for_a_time_and_refused_when_asked(plant, fault_set, order):
     v = temporary(plant, fault_set, fault_set[0])
     assert v.order == order and v.tracking.channels[0] == fault_set[0]
     refused = design(plant, [fault_set], temporary=False)[fault_set, fault_set[0]]
     assert isinstance(refused, Refusal) and 'does not surely die out' in refused.reason
+
+
+@pytest.mark.parametrize('lost', ['x', 'y'])
+def test_nothing_is_read_for_the_sake_of_rounding(lost):
+    """A pose in which nothing but heading and wheels moves what is lost."""
+    v = design(load_plant(BASE), [(lost,)])[(lost,), lost]
+    assert set(v.reads) == {'yaw', 'wheel_left', 'wheel_right'} and not v.commands
+    assert np.count_nonzero(v.Phi) == 1 and not v.Q.any()
 
 
 def test_what_stays_stands_behind_a_small_virtual_sensor_of_what_drives_it():

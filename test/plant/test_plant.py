@@ -215,6 +215,9 @@ def test_hash_depends_on_what_a_design_depends_on():
     ({'input_range': [[0, 1]]}, 'input_range: has shape (1, 2); give 2 rows of low and high'),
     ({'wrap': [360.0]}, 'wrap: [360.0] does not fit; give 2 numbers'),
     ({'wrap': [360.0, 0.0]}, 'wrap: [360.0, 0.0] is not above 0 somewhere'),
+    ({'curves': [1]}, 'curves: [1] is not a mapping'),
+    ({'curves': {'y1': 'exp(w1)'}}, "curves.y1: 'exp(w1)' is no Curve; give Curve(offset)"),
+    ({'remarks': 3}, 'remarks: 3 is not a list'),
     ({'units': {'x9': 'm'}}, "units: unknown name 'x9'; known: x1, x2, x3, u1, u2, y1, y2"),
 ])
 def test_bad_arrays_give_one_line(change, needle):

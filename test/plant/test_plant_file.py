@@ -12,6 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.plant import load_plant
+from vsensor_ros.plant.plant import plain_name
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test' / 'reference.json').read_text())
@@ -284,6 +285,13 @@ def test_elements_of_arrays_and_whole_arrays(tmp_path):
         load_plant(written(tmp_path, ARRAYS)).hash()
 
 
+@pytest.mark.parametrize('text, factor, name', [
+    ('2*w1*(4*w1)', 0.25, '0.5*v*v'), ('tanh(2*w1)*(2*w1)', 0.5, 'tanh(v)*v'),
+    ('exp(w1)*3', 1.0, 'exp(v)*3'), ('2*(w1/3)', 1.0, '2*(v/3)'), ('2*w1', 0.5, 'v')])
+def test_numbers_that_meet_in_the_name_of_a_term_are_one(text, factor, name):
+    assert plain_name(text, np.array([[factor]]), ('v',)) == name
+
+
 def test_rates_may_be_per_hour(tmp_path):
     per = [load_plant(written(tmp_path, text.replace('initial: 2.0', 'process_noise: 0.3')))
            for text in (TANK, TANK.replace('time: continuous', 'time: continuous\ntime_unit: h'))]
@@ -342,6 +350,15 @@ CHANGES = [
     ('operating: 0.5', 'delay: -1', 'inputs.u1.delay: -1 is negative'),
     ('time: continuous', 'time: {sample_time: 0.3}\ntime_unit: h', 'stands beside a sample time'),
     ('time: continuous', 'time: continuous\ntime_unit: year', "time_unit: 'year' is not known"),
+    ('time: continuous', 'time: continuous\ntime_unit: [s]', "time_unit: ['s'] is not known"),
+    ('measures: level1,', 'measures: level1, table: [[0, 1], [1, 2]], interpolation: [cubic],',
+     "sensors.y1.interpolation: ['cubic'] is not known; write linear or cubic"),
+    ('dynamics:', 'definitions: {f: g, g: level1}\ndynamics:', 'definitions.f: g is not known '
+     'yet; a definition may use earlier ones only'),
+    ('measures: level1,', 'measures: exp(u1),', "'exp(u1)' is a curve of commands alone"),
+    ('b: 2.0', 'b: 1:30', "line 4: YAML reads '1:30' as a number to the base of 60"),
+    ('b: 2.0', 'b: 1:30.5', 'to the base of 60; write a plain number'),
+    ('b: 2.0', 'b: 010', "YAML reads '010' as a number to the base of 8; leave out the zeros"),
     ('b: 2.0', 'b: [[[1]]]', 'parameters.b[0][0]: is a list in a list in a list'),
     ('b: 2.0', 'b: [2]', "unknown name 'b'; known names: level1, level2, u1, leak, b[0], area"),
     # (old text, new text, what the line says)

@@ -73,6 +73,11 @@ class Steps:
         # by which stamps are put on: a reading tells of earlier, a command acts later
         self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
                         for name, delay in design.delays.items()}
+        for name, shift in self._shifts.items():
+            if (steps := -shift / self.period) >= _LONGEST:
+                raise BadInput('', name, f'is {-shift * 1e-9:g} s late, {steps:.4g} steps at '
+                               f'{rate:g} Hz, of which {_LONGEST} are kept',
+                               'lower the rate, or the delay in the plant file')
         ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
         # steps that can be taken back; readings from before are as they were held
         self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)

@@ -18,6 +18,7 @@ from vsensor_ros.functions.expression import Apply, gradient, names, Node, parse
 from vsensor_ros.functions.nonlinearity import argument_names, evaluate, slope_at
 from vsensor_ros.observers import Design, VirtualSensor
 from vsensor_ros.plant import Plant
+from vsensor_ros.plant.units import per_second
 
 UNBALANCED = 0.02  # of the addends of an equation: what is left of them at an equilibrium
 DEAR = 2.0  # times the noise without friction
@@ -34,7 +35,7 @@ def advice(plant: Plant, design: Design, again: Again) -> tuple[str, ...]:
 
     again: designs one fault set of another plant, to see what something costs.
     """
-    lines = [*_steep(plant), *_unbalanced(plant)]
+    lines = [*_beyond_ranges(plant), *_steep(plant), *_unbalanced(plant)]
     for (fault_set, channel), entry in design.entries.items():
         if not isinstance(entry, VirtualSensor) or entry.noise is None or \
                 entry.grade == 'temporary':
@@ -50,6 +51,19 @@ def advice(plant: Plant, design: Design, again: Again) -> tuple[str, ...]:
                 'give process_noise as it is, or add a sensor')
         lines += _dear_friction(plant, entry, unit, without, again)
     return tuple(dict.fromkeys(lines))
+
+
+def _beyond_ranges(plant: Plant) -> Iterator[str]:
+    """Find states and inputs that do not work where they are said to live."""
+    for key, names_, point, ranges in (
+            ('operating_point', plant.states, plant.operating_point, plant.ranges),
+            ('operating', plant.inputs, plant.operating_input, plant.input_range)):
+        for name, value, (low, high) in zip(names_, point, ranges):
+            if not low <= value <= high:
+                yield (f'{name} works at {_figure(value, plant.units[name])}, outside its range, '
+                       f'{low:.4g} to {high:.4g}: all slopes are taken there; give '
+                       + (f'{key}: {{{name}: ..}}' if key == 'operating_point' else
+                          f'its {key}: ..') + ' within it')
 
 
 def _steep(plant: Plant) -> Iterator[str]:
@@ -118,8 +132,9 @@ def _unbalanced(plant: Plant) -> Iterator[str]:
 
 def _per(plant: Plant, i: int) -> str:
     unit = plant.units[plant.states[i]]
-    return f'{unit} a step'.strip() if plant.sample_time is not None else f'{unit}/s' \
-        if unit else 'per s'
+    if plant.sample_time is not None:
+        return f'{unit} a step'.strip()
+    return per_second(unit)
 
 
 def _mend(plant: Plant, left: Callable[[np.ndarray], np.ndarray], u: np.ndarray,

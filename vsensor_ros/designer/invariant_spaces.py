@@ -61,7 +61,7 @@ def spaces(known: Quotient, outputs: np.ndarray) -> Iterator[InvariantSpace]:
             B = U if rest is None else image((U - (U @ E.T) @ E).T, size=1.0).T
             away = B @ A - (B @ A) @ U.T @ U  # what of B A leaves U
             spare = E @ A - (E @ A) @ U.T @ U
-            M = -solve_left(spare, away)
+            M = -solve_left(spare, away, size=1.0)
             left = image((away + M @ spare).T, size=1.0).T
             if not len(left):
                 break

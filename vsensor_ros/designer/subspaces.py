@@ -89,11 +89,17 @@ def complement(T: np.ndarray) -> np.ndarray:
     return rows
 
 
-def solve_left(M: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the least X with X M = R in the sense of least squares."""
+def solve_left(M: np.ndarray, R: np.ndarray, size: float = 0.0) -> np.ndarray:
+    """Return the least X with X M = R by least squares; |M| below ``size`` is rounding."""
+    none = np.zeros((R.shape[0], M.shape[0]))
     if 0 in M.shape or 0 in R.shape:
-        return np.zeros((R.shape[0], M.shape[0]))
-    return np.linalg.lstsq(M.T, R.T, rcond=RANK_TOLERANCE)[0].T
+        return none
+    if not size:
+        return np.linalg.lstsq(M.T, R.T, rcond=RANK_TOLERANCE)[0].T
+    largest = float(np.linalg.norm(M, 2))
+    if largest <= RANK_TOLERANCE * size:
+        return none
+    return np.linalg.lstsq(M.T, R.T, rcond=RANK_TOLERANCE * max(1.0, size / largest))[0].T
 
 
 def in_row_space(M: np.ndarray, R: np.ndarray, gap: Gap | None = None) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -13,6 +15,8 @@ from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant.plant import Plant
 
 MOST_ENDS = 10  # sides of the declared box whose 2**10 vertices are tried
+ROUNDING = 1e-9  # of the decay: an error that grows no faster stays
+BETWEEN, PARTS = 32, 4  # so many other points, each side in so many parts
 
 Side = tuple[str, bool, int, tuple[float, float]]  # name, whether an input, index, range
 
@@ -40,18 +44,33 @@ def uncovered(plant: Plant, sensor: VirtualSensor,
     return ', '.join(parts) + (f'; unstable at {worst}' if worst else '')
 
 
+@lru_cache(maxsize=64)
 def unstable_at(plant: Plant, sensor: VirtualSensor) -> str:
-    """Name the vertex of the declared ranges at which an error grows most, ''; frozen slopes."""
+    """
+    Name the point of the declared ranges at which an error grows most, ''; frozen slopes.
+
+    Their vertices are tried, and if it grows at none of them, points between.
+    """
     sides = _declared(plant, sensor)[:MOST_ENDS]
-    worst, where = 0.0, ''
-    for ends in product(*([end for end in limits if np.isfinite(end)] for *_, limits in sides)):
-        point = plant.operating_point.copy(), plant.operating_input.copy()
-        for (_, is_input, j, _), end in zip(sides, ends):
-            point[is_input][j] = end
-        grows = -decay_rate(linearised(plant, sensor, *point)[0], sensor.sample_time)
+    ends = [[end for end in limits if np.isfinite(end)] for *_, limits in sides]
+    rng = np.random.default_rng(0)
+    between = ([side[0] + (side[-1] - side[0]) * rng.integers(PARTS + 1) / PARTS
+                for side in ends] for _ in range(BETWEEN))
+    return _worst(plant, sensor, sides, product(*ends)) or \
+        _worst(plant, sensor, sides, between)
+
+
+def _worst(plant: Plant, sensor: VirtualSensor, sides: Sequence[Side],
+           points: Iterable[Sequence[float]]) -> str:
+    worst, where = ROUNDING * abs(sensor.decay), ''
+    for values in points:
+        x, u = plant.operating_point.copy(), plant.operating_input.copy()
+        for (_, is_input, j, _), value in zip(sides, values):
+            (u if is_input else x)[j] = value
+        grows = -decay_rate(linearised(plant, sensor, x, u)[0], sensor.sample_time)
         if grows > worst:
-            at = [f'{name} = {end:.4g} {plant.units.get(name, "")}'.rstrip()
-                  for (name, *_), end in zip(sides, ends)]
+            at = [f'{name} = {value:.4g} {plant.units.get(name, "")}'.rstrip()
+                  for (name, *_), value in zip(sides, values)]
             worst, where = grows, f'{", ".join(at)}, where an error grows at {grows:.3g} 1/s'
     return where
 

@@ -18,6 +18,7 @@ from vsensor_ros.functions.expression import (
     fold,
     function_of,
     Name,
+    names,
     Node,
     Number,
     parse,
@@ -162,10 +163,14 @@ class Entries:
 
     def read_definitions(self, variables: Sequence[str]) -> None:
         """Read intermediate expressions; a later one may use earlier ones."""
-        for name, entry in self.section('definitions', ('value', 'unit', *TABLE),
-                                        'value').items():
+        section = self.section('definitions', ('value', 'unit', *TABLE), 'value')
+        for name, entry in section.items():
             place = f'definitions.{name}'
             text = self.required(entry, 'value', place, 'write what it is')
+            for used in names(parse(text, self.path, place)):
+                if used in section and used not in self.definitions:
+                    raise self.fail(place, f'{used} is not known yet', 'a definition may use '
+                                    'earlier ones only: bring them into order, without a circle')
             node = self.tabled(self.by_name(text, place, variables), entry, place)
             whole = fold(substitute(node, self.definitions), self.path, place)
             if self.units_of is not None and 'table' not in entry:
@@ -193,7 +198,7 @@ class Entries:
                                                  for r in rows):
             raise self.fail(key, f'{shown(rows)} is no list of points', 'write [[x, y], [x, y]]')
         shape = entry.get('interpolation', 'linear')
-        if shape not in _SHAPES:
+        if not isinstance(shape, str) or shape not in _SHAPES:
             raise self.fail(f'{place}.interpolation', f'{shown(shape)} is not known',
                             f'write {" or ".join(_SHAPES)}')
         points = [Number(self.number(v, f'{key}[{i}]')) for i, row in enumerate(rows) for v in row]
@@ -228,7 +233,7 @@ class Entries:
     def time_unit(self, sample_time: float | None) -> float:
         """Read how many seconds the equations' unit of time has."""
         unit = self.content.get('time_unit', 's')
-        if unit not in _SECONDS:
+        if not isinstance(unit, str) or unit not in _SECONDS:
             raise self.fail('time_unit', f'{shown(unit)} is not known',
                             f'write one of {", ".join(_SECONDS)}')
         if 'time_unit' in self.content and sample_time is not None:

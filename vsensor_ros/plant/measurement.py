@@ -56,7 +56,10 @@ def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], range
         curve = Apply('+', (curve, Apply('*', (Number(factor), lifted(core, names, (), rows)))))
     beside = np.array([linear.get(name, 0.0) for name in names])
     command = np.array([name in inputs for name in names])
-    if len(rows) != 1 or not rows[0][~command].any():
+    if len(rows) == 1 and not rows[0][~command].any():
+        raise BadInput(where, key, f'{shown(text)} is a curve of commands alone', 'leave the '
+                       'sensor out: what is commanded is known')
+    if len(rows) != 1:
         raise BadInput(where, key, f'{shown(text)} is no curve of one linear combination of '
                        f'states, but of {len(rows)} quantities', 'bring it into one function of '
                        'one sum; only commands may be added to that')

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import difflib
+from functools import reduce
 import hashlib
+import math
 import re
 from typing import Any
 
@@ -125,7 +127,7 @@ class Plant:
         if not check_text(name, where, 'name'):
             raise BadInput(where, 'name', 'is empty', 'give the plant a name')
         for key, mapping in (('units', units), ('parameters', parameters),
-                             ('tolerances', tolerances)):
+                             ('tolerances', tolerances), ('curves', curves)):
             if not isinstance(mapping, Mapping | None):
                 raise BadInput(where, key, f'{shown(mapping)} is not a mapping',
                                'give {name: value, ...}')
@@ -187,7 +189,8 @@ class Plant:
             input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
             sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
             sensor_rate=_rates(sensor_rate, len(c), where),
-            remarks=tuple(check_text(text, where, 'remarks') for text in remarks))
+            remarks=tuple(check_text(text, where, 'remarks')
+                          for text in _listed(remarks, where, 'remarks')))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -346,8 +349,21 @@ def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
 
 def _rounded(node: Node) -> Node:
     if isinstance(node, Apply):
+        factors = _factors(node)
+        numbers = [part.value for part in factors if isinstance(part, Number)]
+        if len(numbers) > 1:  # they come of arguments, which share what they have in common
+            whole = Number(float(f'{math.prod(numbers):.{DIGITS}g}'))
+            rest = [_rounded(part) for part in factors if not isinstance(part, Number)]
+            return reduce(lambda a, b: Apply('*', (a, b)),
+                          rest if rest and whole.value == 1.0 else [whole, *rest])
         return Apply(node.function, tuple(map(_rounded, node.arguments)))
     return Number(float(f'{node.value:.{DIGITS}g}')) if isinstance(node, Number) else node
+
+
+def _factors(node: Node) -> list[Node]:
+    if isinstance(node, Apply) and node.function == '*':
+        return [part for argument in node.arguments for part in _factors(argument)]
+    return [node]
 
 
 def _beside(values: Any, x: np.ndarray) -> np.ndarray:
@@ -474,6 +490,9 @@ def _curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
         if name not in sensors:
             raise BadInput(where, 'curves', f'unknown sensor {shown(name)}',
                            suggestion(name, sensors))
+        if not isinstance(curve, Curve):
+            raise BadInput(where, f'curves.{name}', f'{shown(curve)} is no Curve', 'give '
+                           'Curve(offset), or Curve(text=.., low=.., high=..)')
         curve.check(where, f'curves.{name}')
     return dict(given)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+import re
 from typing import Any, NoReturn
 
 import yaml
@@ -11,10 +12,11 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.text_file import read_text
 
 LARGEST_FILE = 2**20    # bytes
+_OCTAL = re.compile('[-+]?0[0-7_]+')
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses aliases (they can grow without bound), repeated keys, booleans."""
+    """SafeLoader that refuses aliases (they grow without bound), repeated keys, odd values."""
 
     where: object = ''
 
@@ -43,8 +45,28 @@ class _Loader(yaml.SafeLoader):
         raise BadInput(self.where, f'line {node.start_mark.line + 1}', f'YAML reads {node.value} '
                        'as a truth value (so with on, off, yes, no)', f"write '{node.value}'")
 
+    def plain_int(self, node: yaml.ScalarNode) -> int:
+        self._refuse_clock(node)
+        if _OCTAL.fullmatch(node.value):
+            raise BadInput(self.where, f'line {node.start_mark.line + 1}', f'YAML reads '
+                           f'{shown(node.value)} as a number to the base of 8',
+                           'leave out the zeros before it')
+        return int(super().construct_yaml_int(node))
+
+    def plain_float(self, node: yaml.ScalarNode) -> float:
+        self._refuse_clock(node)
+        return float(super().construct_yaml_float(node))
+
+    def _refuse_clock(self, node: yaml.ScalarNode) -> None:
+        if ':' in node.value:  # 1:30 is 90 in YAML 1.1
+            raise BadInput(self.where, f'line {node.start_mark.line + 1}', f'YAML reads '
+                           f'{shown(node.value)} as a number to the base of 60',
+                           'write a plain number')
+
 
 _Loader.add_constructor('tag:yaml.org,2002:bool', _Loader.refuse_bool)
+_Loader.add_constructor('tag:yaml.org,2002:int', _Loader.plain_int)
+_Loader.add_constructor('tag:yaml.org,2002:float', _Loader.plain_float)
 
 
 def read_yaml(path: str | Path) -> Any:

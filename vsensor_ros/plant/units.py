@@ -171,7 +171,8 @@ def converted(units: Units, node: Node, unit: str, sensor: str) -> tuple[float, 
     if abs(factor - 1.0) < 1e-9 and abs(offset) < 1e-9:
         return 1.0, 0.0
     more = '' if abs(offset) < 1e-9 else f' {"+" if offset > 0.0 else "-"} {abs(offset):.6g}'
-    text = to_text(Apply('*', (Number(float(f'{factor:.6g}')), node)))
+    text = to_text(node if abs(factor - 1.0) < 1e-9 else
+                   Apply('*', (Number(float(f'{factor:.6g}')), node)))
     units.note(place, f'is in {unit}, and {to_text(node)} in {shown(found)}: it is taken to show '
                f'{text}{more}')
     return factor, offset if abs(offset) > 1e-9 else 0.0
@@ -196,6 +197,11 @@ def check_rates(units: Units, equations: Mapping[str, Node], time_unit: str | No
         what = ', '.join([*hourly, *(f'the rate of {state}' for state in slower)])
         units.said.append(f'{what}: but the equations run in seconds; if their rates are per '
                           f'{unit}, write time_unit: {unit}')
+
+
+def per_second(text: str) -> str:
+    """Return the unit, as written, of what changes by a unit in a second."""
+    return f'{text}^2' if text.endswith('/s') else f'{text}/s' if text else 'per s'
 
 
 def _per_hour(text: str) -> bool:

@@ -19,6 +19,7 @@ from vsensor_ros.observers import (
 from vsensor_ros.observers.kinds.functional import short_name
 
 NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
+DEAD = 20.0  # times the sample time: a faster decay than by exp(-20) a step is none
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
@@ -167,7 +168,10 @@ def decay(entry: Entry) -> str:
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
-    return f'{number(entry.decay, "1/s")} (an error is down to 5 % in {number(settled, "s")})'
+    step = entry.sample_time if isinstance(entry, VirtualSensor) else None
+    dead = step is not None and entry.decay * step > DEAD
+    rate = 'dead beat' if dead else number(entry.decay, '1/s')
+    return f'{rate} (an error is down to 5 % in {number(settled, "s")})'
 
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
@@ -176,7 +180,9 @@ def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
     upper = [complex(entry.eigenvalues[i]) for i in np.argsort(-slow, kind='stable')]
     texts = []
     for value in upper:
-        if np.isclose(value.imag, 0.0):
+        if abs(value) < NEARLY:
+            texts.append('0')
+        elif np.isclose(value.imag, 0.0):
             texts.append(f'{value.real:.4g}')
         elif value.imag > 0:
             texts.append(f'{value.real:.4g} +- {value.imag:.4g}i')

@@ -18,7 +18,7 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
-from vsensor_ros.observers.kinds.functional import full_name
+from vsensor_ros.observers.kinds.functional import full_name, short_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import design_text, for_a_time, report_simulation
@@ -178,8 +178,8 @@ def _plant(plant: Plant) -> str:
     facts = [('time', time), (f'{len(plant.states)} states', named(plant.states)),
              ('commands', named(plant.inputs)),
              ('unknown inputs', '; '.join(acts) or 'none'),
-             ('nonlinear terms', ', '.join(f'<code>{escape(t.name)}</code>' for t in plant.terms)
-              or 'none')]
+             ('nonlinear terms', ', '.join(f'<code>{escape(full_name(i, t.name))}</code>'
+                                           for i, t in enumerate(plant.terms)) or 'none')]
     facts += [('note', escape(remark)) for remark in plant.remarks]
     return ('<h2>The plant</h2>' + _facts(facts) + _table(
         measures, ('sensor', 'measures', 'noise (standard deviation)'), (2,)))
@@ -305,7 +305,7 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
          if plant.disturbances or entry.grade != 'exact' else ''),
         ('noise gain', '' if temporary else f'{design_text.number(entry.noise_gain)}: no error of '
                        'the readings is amplified by more, at any frequency'),
-        ('nonlinear terms', escape(', '.join(full_name(i, entry.terms[i].name)
+        ('nonlinear terms', escape(', '.join(short_name(i, entry.terms[i].name)
                                              for i in entry.active))),
         ('found as', escape(entry.method)),
     ]
