@@ -101,6 +101,7 @@ def test_a_late_command_is_still_applied_at_its_stamp(bench):
     assert banks[0].estimate(*KEY) == banks[1].estimate(*KEY) > 0.1
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @given(data=st.data())
 def test_when_readings_arrive_does_not_matter_once_they_have(bench, data):

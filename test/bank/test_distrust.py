@@ -99,6 +99,7 @@ def test_what_was_read_before_it_is_trusted_is_refused_after_a_reset_too(two):
     assert bank.started(*A) <= 1100 * MS
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=15)
 @given(data=st.data())
 def test_no_order_of_arrival_brings_a_bad_reading_back(bench, two, data):

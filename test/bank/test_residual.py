@@ -106,6 +106,7 @@ def test_it_sees_what_a_sensor_reads_of_commands(bench):
         assert bank.residual(*KEY) == pytest.approx(0.25)
 
 
+@pytest.mark.slow
 def test_what_is_kept_apart_changes_nothing(bench):
     """Two banks, one of which never gets what an isolated sensor says, to the last bit."""
     more = {'healthy': ('y2', 'y3')}

@@ -78,6 +78,7 @@ def test_the_servo_from_an_unknown_start_to_a_steady_state(servo):
     assert coverage.min() >= 0.9 and size.max() <= 5.0
 
 
+@pytest.mark.slow
 def test_the_tank_in_its_region():
     plant = load_plant('config/three_tank/plant.yaml')
     made = design(plant)

@@ -273,6 +273,7 @@ def test_many_eigenvalues_are_shortened(designed):
         text, 'y2 [rad/s]: can')
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('designed_once')
 def test_bounded_ones(tmp_path, capsys):
     plant = str(CONFIG / 'three_tank_discrete' / 'plant.yaml')

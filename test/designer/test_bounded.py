@@ -54,6 +54,7 @@ def tank():
     return design(TANK, [('y1', 'y3')], wanted={'v': [[1, 0, 0], [0, 0, 1]]}, bounded=True)
 
 
+@pytest.mark.slow
 def test_tank_level1_errs_little_more_than_one_step_of_rho(tank):
     entry = tank[('y1', 'y3'), 'y1']
     assert entry.grade == 'bounded' and entry.reads == ('y2',)

@@ -380,6 +380,7 @@ STEEP = {'sign(w1)': (0.0, 1e9), 'sqrt(w1)': (0.0, 1e9), 'w1*abs(w1)': (0.0, 1e9
          'sat(w1, -1, 1)': (0.0, 1.0)}
 
 
+@pytest.mark.slow
 @FEW
 @given(seed=st.integers(0, 2**32 - 1), discrete=st.booleans(), many=st.booleans())
 def test_no_slopes_in_their_bounds_break_the_inequality(seed, discrete, many):

@@ -72,6 +72,7 @@ def frozen(plant, sensor, x, u):
     return N
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('numbers', [
     {'R': 0.2, 'Ld': 0.0009, 'Lq': 0.0014, 'psi': 0.02},
     {'R': 1.1, 'Ld': 0.004, 'Lq': 0.007, 'psi': 0.08}], ids=['small', 'large'])

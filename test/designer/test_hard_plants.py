@@ -126,6 +126,7 @@ def test_a_copy_of_what_matters_serves_where_canonical_forms_do_not():
     assert sensor.noise_gain < 10.0
 
 
+@pytest.mark.slow
 def test_low_order_is_not_bought_with_noise():
     rod = heat_rod()
     sampled = Plant.from_matrices(expm(np.array(rod.A)), rod.B, rod.C, sample_time=1.0)

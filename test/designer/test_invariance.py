@@ -70,6 +70,7 @@ def test_a_sampled_plant_is_tuned_as_its_continuous_original(drawn, exponent):
     assert modes == pytest.approx(couplings(Plant.from_matrices(A, B, C)).mean_rate, rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(matrices(), st.integers(0, 2**31))
 def test_units_do_not_matter(drawn, seed):
@@ -81,6 +82,7 @@ def test_units_do_not_matter(drawn, seed):
                                        noise=noise * y)), unit=y)
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(matrices(), st.integers(0, 2**31))
 def test_the_order_of_the_states_does_not_matter(drawn, seed):

@@ -83,6 +83,7 @@ def exists(entry):
             or entry.reason.startswith('the linear equations allow'))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('without_alternatives')
 @settings(max_examples=6)
 @given(plants())

@@ -147,6 +147,7 @@ def test_the_floor_is_the_error_of_a_kalman_filter():
         np.sqrt(plant.C[0] @ filtered @ plant.C[0]), rel=1e-4)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_no_design_is_quieter_than_the_filter(seed, discrete):
@@ -303,6 +304,7 @@ def test_a_quarter_of_the_readings_is_as_good_as_twice_the_noise(sample_time, ra
     assert floor(0.1, rates[0]) == pytest.approx(floor(0.1, np.nan), rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1))
 def test_sensors_may_read_commands_and_unknown_inputs(seed):

@@ -198,6 +198,7 @@ def serve(world, keys, faults):
     return out
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(seed=st.integers(0, 3), some=st.sets(st.sampled_from(KEYS), min_size=1),
        more=st.sets(st.sampled_from(KEYS), min_size=1),

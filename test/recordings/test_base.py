@@ -46,6 +46,7 @@ def made():
     return design(load_plant(PLANT), [('yaw',), ('x', 'y', 'yaw')])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('lost', [('yaw',), ('x', 'y', 'yaw')])
 def test_a_heading_that_is_lost_while_turning_is_told_with_an_honest_deviation(made, lost):
     recording, truth = driven(1)

@@ -142,6 +142,7 @@ def several_signs(bench):
         texts=['sign(w1)', 'sign(w1)', 'sin(w1)'], z0=[0.5, -0.4, 0.2])
 
 
+@pytest.mark.slow
 def test_several_signs_in_one_virtual_sensor(bench):
     v = several_signs(bench)
     finest, e = 800, []
