@@ -36,6 +36,9 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
     result = Design.load(path)
     assert f'Plant {result.plant_name}, ' in said
     blocks = said.split('\n\n')
+    once = ''.join(said.split())
+    for refused in (e for e in result.entries.values() if isinstance(e, Refusal)):
+        once = once.replace(''.join(refused.reason.split()), '')  # which says it in full
     for (fault_set, channel), entry in result.entries.items():
         title = design_text.title(result, fault_set, channel)
         block, = (b for b in blocks if b.startswith(f'{title}: '))
@@ -50,7 +53,7 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             assert f'order             {entry.order} (' in block
             assert all(''.join(short_name(i, entry.terms[i].name).split()) in ''.join(
                 block.split()) for i in entry.active if entry.terms[i].text != '1')
-            assert all(''.join(said.split()).count(''.join(entry.terms[i].name.split())) == 1
+            assert all(once.count(''.join(entry.terms[i].name.split())) == 1
                        for i in entry.active if len(entry.terms[i].name) > LONGEST)
             assert all(name in block for name in entry.reads)
     assert said.endswith(f'; written to {path}\n')
