@@ -159,6 +159,7 @@ def test_it_grows_while_a_reading_is_missing_until_there_is_none(servo):
     assert not run.ready[back, i][:10].any()
 
 
+@pytest.mark.slow
 def test_readings_that_come_late_or_never(servo):
     run = Run(*servo, 100.0, 12.0, drive, sigma=0.01, unknown=friction, x0=[0.3, 1.0, -0.4],
               late=4, lost=0.4)

@@ -21,7 +21,7 @@ CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
 
 
-LONG = {'base', 'two_link'}  # plants whose design takes a minute
+LONG = {'base', 'three_tank_discrete', 'two_link'}  # plants whose design takes long
 
 
 @pytest.mark.parametrize('plant', [

@@ -93,6 +93,7 @@ def check_terms(problem):
     return verdict
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(problems())
 def test_orders_and_freedom_are_those_of_the_definition(problem):

@@ -201,6 +201,7 @@ def test_delay_lines_need_all_but_what_is_read(n):
     assert sensor.order == sensor.proof.lower == n - 1
 
 
+@pytest.mark.slow
 def test_an_order_with_any_spectrum_is_never_called_impossible():
     """Twenty integrators: nothing is left of a linear program over such coefficients."""
     plant = Plant.from_matrices(np.eye(20, k=1), None, np.eye(20)[[0, 2]])

@@ -138,6 +138,7 @@ def test_identification_form_of_order_three_and_its_correct_gain(tank_y1):
     np.testing.assert_allclose(sorted_spectrum(sensor.eigenvalues), [-3, -2, -1], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_tank_orders_and_existence(tank_y1):
     result = design(tank(), [('y1',), ('y2',), ('y1', 'y2')])
     assert result[('y1',), 'y1'].order == TANK['unified_failed_y1']['k_min_from_Vext'] == 2
