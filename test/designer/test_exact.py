@@ -6,6 +6,7 @@ import sys
 
 from hypothesis import given, settings, strategies as st
 import numpy as np
+import pytest
 
 from vsensor_ros.designer import exact
 
