@@ -59,6 +59,7 @@ def test_what_works_outside_its_range_is_said(tmp_path):
     assert not any('outside its range' in line for line in minded(tmp_path, inside)[1])
 
 
+@pytest.mark.slow
 def test_what_is_no_equilibrium_is_said_with_the_input_that_would_make_it_one(tmp_path):
     moved = PENDULUM + 'operating_point: {angle: 0.5}\n'
     plant, lines = minded(tmp_path, moved.replace('- 2*sign(speed)', ''))

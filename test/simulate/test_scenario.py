@@ -77,6 +77,7 @@ def test_noise_is_on_the_readings_and_not_on_the_truth(tmp_path):
     assert scenario.truth.value[0] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('system', ['three_tank', 'servo'])
 def test_the_shipped_scenarios_hold_what_they_promise(system):
     plant = load_plant(CONFIG / system / 'plant.yaml')

@@ -99,6 +99,7 @@ def test_a_stopped_axis_does_not_chatter(bench, truth_of):
         assert np.count_nonzero(np.diff(moves)) == np.count_nonzero(np.diff(of_truth))
 
 
+@pytest.mark.slow
 def test_truth_is_the_reference(bench, reference):
     samples = reference['a_servo']['sim_k7=-1']['samples']
     x, z = bench.servo_truth(-1.0, np.array([float(t) for t in samples]))
