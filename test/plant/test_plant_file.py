@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.plant import load_plant
-from vsensor_ros.plant.plant import plain_name
+from vsensor_ros.plant.plain_name import plain_name
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = json.loads((ROOT / 'test' / 'reference.json').read_text())

@@ -25,7 +25,7 @@ from vsensor_ros.functions.expression import (
     substitute,
     table_node,
 )
-from vsensor_ros.plant.plant import suggestion
+from vsensor_ros.plant.checked import suggestion
 from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.split import addends
 from vsensor_ros.plant.units import NOT_INSTALLED, registry, Units

@@ -31,10 +31,12 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
+from vsensor_ros.plant.checked import check_distinct
 from vsensor_ros.plant.dead_time import with_registers
 from vsensor_ros.plant.entries import Entries, TABLE
 from vsensor_ros.plant.measurement import measurement
-from vsensor_ros.plant.plant import check_distinct, plain_name, Plant
+from vsensor_ros.plant.plain_name import plain_name
+from vsensor_ros.plant.plant import Plant
 from vsensor_ros.plant.split import (
     check_split,
     Split,

@@ -24,7 +24,7 @@ from vsensor_ros.functions.expression import (
     substitute,
     to_text,
 )
-from vsensor_ros.plant.plant import affine_node
+from vsensor_ros.plant.plain_name import affine_node
 from vsensor_ros.plant.split import addends, lifted
 
 PARALLEL = 1e-9  # relative

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-import difflib
-from functools import reduce
 import hashlib
-import math
 import re
 from typing import Any
 
@@ -15,27 +12,30 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.curve import Curve
-from vsensor_ros.functions.expression import (
-    Apply,
-    check_name,
-    Name,
-    negate,
-    Node,
-    Number,
-    parse,
-    substitute,
-    to_text,
+from vsensor_ros.functions.expression import Apply, Node, parse, substitute
+from vsensor_ros.functions.nonlinearity import evaluate, NonlinearTerm
+from vsensor_ros.plant.checked import (
+    as_list,
+    check_distinct,
+    checked_columns,
+    checked_curves,
+    checked_delays,
+    checked_direct,
+    checked_marks,
+    checked_matrix,
+    checked_names,
+    checked_noise,
+    checked_ranges,
+    checked_rates,
+    checked_sample_time,
+    checked_terms,
+    checked_tolerances,
+    checked_turns,
+    checked_vector,
+    suggestion,
 )
-from vsensor_ros.functions.nonlinearity import (
-    argument_names,
-    check_term,
-    evaluate,
-    make_term,
-    NonlinearTerm,
-)
+from vsensor_ros.plant.plain_name import affine_node
 
-DIGITS = 6        # of the numbers in the name of a term
-LARGEST = 1e75    # of an entry: products of four must not overflow
 _ARGUMENT = re.compile(r'w[0-9]+')
 
 
@@ -132,21 +132,21 @@ class Plant:
                 raise BadInput(where, key, f'{shown(mapping)} is not a mapping',
                                'give {name: value, ...}')
         parameters = parameters or {}
-        a = _matrix(A, where, 'A')
+        a = checked_matrix(A, where, 'A')
         n = len(a)
         if n == 0 or a.shape != (n, n):
             raise BadInput(where, 'A', f'has shape {a.shape}', 'give n rows of n numbers')
-        b = _columns(B, n, where, 'B')
-        c = _matrix(C, where, 'C', row=True)
+        b = checked_columns(B, n, where, 'B')
+        c = checked_matrix(C, where, 'C', row=True)
         if len(c) == 0 or c.shape[1] != n:
             raise BadInput(where, 'C', f'has shape {c.shape}',
                            f'give one row of {n} numbers a sensor')
-        d = _columns(D, n, where, 'D')
-        p = _columns(P, n, where, 'P')
-        state_names = _names(states, 'x', n, where, 'states')
-        input_names = _names(inputs, 'u', b.shape[1], where, 'inputs')
-        sensor_names = _names(sensors, 'y', len(c), where, 'sensors')
-        disturbance_names = _names(disturbances, 'rho', d.shape[1], where, 'disturbances')
+        d = checked_columns(D, n, where, 'D')
+        p = checked_columns(P, n, where, 'P')
+        state_names = checked_names(states, 'x', n, where, 'states')
+        input_names = checked_names(inputs, 'u', b.shape[1], where, 'inputs')
+        sensor_names = checked_names(sensors, 'y', len(c), where, 'sensors')
+        disturbance_names = checked_names(disturbances, 'rho', d.shape[1], where, 'disturbances')
         check_distinct(where, {'states': state_names, 'inputs': input_names,
                                'disturbances': disturbance_names,
                                'parameters': tuple(parameters)})
@@ -156,7 +156,7 @@ class Plant:
             if _ARGUMENT.fullmatch(text):
                 raise BadInput(where, 'inputs', f'{text} is the name of an argument of the '
                                'nonlinearities (w = G x)', 'choose another name')
-        rows, terms = _terms(G, nonlinearities, p, state_names, input_names, where)
+        rows, terms = checked_terms(G, nonlinearities, p, state_names, input_names, where)
         everything = (*state_names, *input_names, *sensor_names, *disturbance_names)
         units = {**dict.fromkeys(everything, ''), **(units or {})}
         for known, unit in units.items():
@@ -164,33 +164,34 @@ class Plant:
                 raise BadInput(where, 'units', f'unknown name {shown(known)}',
                                suggestion(known, everything))
             check_text(unit, where, f'units.{known}')
-        start = _vector(initial, np.zeros(n), where, 'initial')
+        start = checked_vector(initial, np.zeros(n), where, 'initial')
         return cls(
             name=name, states=state_names, inputs=input_names, sensors=sensor_names,
             disturbances=disturbance_names, A=a, B=b, C=c, D=d, P=p, G=rows, terms=terms,
-            sample_time=_sample_time(sample_time, where),
-            units=units, initial=start, noise=_noise(noise, len(c), where),
-            parameters=dict(zip(parameters, _vector(
+            sample_time=checked_sample_time(sample_time, where),
+            units=units, initial=start, noise=checked_noise(noise, len(c), where),
+            parameters=dict(zip(parameters, checked_vector(
                 list(parameters.values()), np.zeros(len(parameters)), where,
                 'parameters').tolist())),
-            operating_point=_vector(operating_point, start, where, 'operating_point'),
-            operating_input=_vector(operating_input, np.zeros(len(input_names)), where,
-                                    'operating_input'),
-            Cu=_direct(Cu, len(c), b.shape[1], where, 'Cu'),
-            Cd=_direct(Cd, len(c), d.shape[1], where, 'Cd'),
-            process_noise=_noise(process_noise, n, where, 'process_noise'),
-            ranges=_ranges(ranges, n, where, 'ranges', 'a state'),
-            input_range=_ranges(input_range, b.shape[1], where, 'input_range', 'an input'),
-            disturbance_range=_ranges(disturbance_range, d.shape[1], where, 'disturbance_range',
-                                      'an unknown input'),
-            slow=_marks(slow, state_names, where),
-            tolerances=_tolerances(tolerances or {}, sensor_names, where),
-            wrap=_turns(wrap, len(c), where), curves=_curves(curves or {}, sensor_names, where),
-            input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
-            sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
-            sensor_rate=_rates(sensor_rate, len(c), where),
+            operating_point=checked_vector(operating_point, start, where, 'operating_point'),
+            operating_input=checked_vector(operating_input, np.zeros(len(input_names)), where,
+                                           'operating_input'),
+            Cu=checked_direct(Cu, len(c), b.shape[1], where, 'Cu'),
+            Cd=checked_direct(Cd, len(c), d.shape[1], where, 'Cd'),
+            process_noise=checked_noise(process_noise, n, where, 'process_noise'),
+            ranges=checked_ranges(ranges, n, where, 'ranges', 'a state'),
+            input_range=checked_ranges(input_range, b.shape[1], where, 'input_range', 'an input'),
+            disturbance_range=checked_ranges(disturbance_range, d.shape[1], where,
+                                             'disturbance_range', 'an unknown input'),
+            slow=checked_marks(slow, state_names, where),
+            tolerances=checked_tolerances(tolerances or {}, sensor_names, where),
+            wrap=checked_turns(wrap, len(c), where),
+            curves=checked_curves(curves or {}, sensor_names, where),
+            input_delay=checked_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
+            sensor_delay=checked_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
+            sensor_rate=checked_rates(sensor_rate, len(c), where),
             remarks=tuple(check_text(text, where, 'remarks')
-                          for text in _listed(remarks, where, 'remarks')))
+                          for text in as_list(remarks, where, 'remarks')))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -301,32 +302,6 @@ class Plant:
         return digest.hexdigest()
 
 
-def suggestion(name: object, known: Iterable[str]) -> str:
-    """Return the end of an error line for an unknown name: the nearest, and all of them."""
-    known = list(dict.fromkeys(known))
-    near = difflib.get_close_matches(str(name), known, 1)
-    return (f'did you mean {near[0]}? ' if near else '') + 'known: ' + (', '.join(known) or 'none')
-
-
-def affine_node(row: Sequence[float] | np.ndarray, names: Sequence[str],
-                offset: float = 0.0) -> Node:
-    """Return the expression sum_i row[i] * names[i] + offset, as a person would write it."""
-    total: Node | None = None
-    for factor, name in zip(row, names):
-        if factor:
-            size: Node = (Name(name) if abs(factor) == 1.0
-                          else Apply('*', (Number(abs(float(factor))), Name(name))))
-            if total is None:
-                total = size if factor > 0.0 else negate(size)
-            else:
-                total = Apply('+' if factor > 0.0 else '-', (total, size))
-    if total is None:
-        return Number(float(offset))
-    if offset:
-        return Apply('+' if offset > 0.0 else '-', (total, Number(abs(float(offset)))))
-    return total
-
-
 def measures_node(plant: Plant, i: int) -> Node:
     """Return what the i-th sensor shows, in the plant's names."""
     names = (*plant.states, *plant.inputs, *plant.disturbances)
@@ -339,254 +314,7 @@ def measures_node(plant: Plant, i: int) -> Node:
     return Apply('+', (bent, affine_node(beside, names))) if beside.any() else bent
 
 
-def plain_name(text: str, g: np.ndarray, states: Sequence[str]) -> str:
-    """Return a nonlinear term in the plant's names, 'sqrt(level1 - level2)', numbers rounded."""
-    if not len(g) and text == '1':
-        return 'constant'
-    arguments = {w: affine_node(row, states) for w, row in zip(argument_names(len(g)), g)}
-    return to_text(_rounded(substitute(parse(text), arguments)))
-
-
-def _rounded(node: Node) -> Node:
-    if isinstance(node, Apply):
-        factors = _factors(node)
-        numbers = [part.value for part in factors if isinstance(part, Number)]
-        if len(numbers) > 1:  # they come of arguments, which share what they have in common
-            whole = Number(float(f'{math.prod(numbers):.{DIGITS}g}'))
-            rest = [_rounded(part) for part in factors if not isinstance(part, Number)]
-            return reduce(lambda a, b: Apply('*', (a, b)),
-                          rest if rest and whole.value == 1.0 else [whole, *rest])
-        return Apply(node.function, tuple(map(_rounded, node.arguments)))
-    return Number(float(f'{node.value:.{DIGITS}g}')) if isinstance(node, Number) else node
-
-
-def _factors(node: Node) -> list[Node]:
-    if isinstance(node, Apply) and node.function == '*':
-        return [part for argument in node.arguments for part in _factors(argument)]
-    return [node]
-
-
 def _beside(values: Any, x: np.ndarray) -> np.ndarray:
     # one vector for all columns of x, or a column each
     values = np.asarray(values, dtype=float)
     return values[:, np.newaxis] if values.ndim < x.ndim else values
-
-
-def _array(value: Any, where: object, key: str, unknown: bool = False,
-           infinite: bool = False) -> np.ndarray:
-    # a frozen copy; unknown: NaN is allowed; infinite: so is infinity
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in 'biufO':    # texts, dates and complex numbers are none
-            raise TypeError(array.dtype)
-        array = np.array(array, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise BadInput(where, key, f'{shown(value)} is not a matrix of real numbers',
-                       'give rows of equal length') from None
-    if (np.isinf(array).any() and not infinite) or (np.isnan(array).any() and not unknown):
-        raise BadInput(where, key, 'holds NaN or infinity', 'give finite numbers')
-    if (abs(array[np.isfinite(array)]) > LARGEST).any():
-        raise BadInput(where, key, f'holds a number beyond {LARGEST:g}', 'choose other units')
-    array.flags.writeable = False
-    return array
-
-
-def _matrix(value: Any, where: object, key: str, row: bool = False) -> np.ndarray:
-    array = _array(value, where, key)
-    if row and array.ndim == 1:
-        array = array[np.newaxis, :]
-    if array.ndim != 2:
-        raise BadInput(where, key, f'has {array.ndim} dimensions, not 2', 'give rows of numbers')
-    return array
-
-
-def _columns(value: Any, n: int, where: object, key: str) -> np.ndarray:
-    array = np.zeros((n, 0)) if value is None else _array(value, where, key)
-    if array.size == 0:
-        array = np.zeros((n, 0))
-    if array.ndim == 1:
-        array = array[:, np.newaxis]
-    if array.ndim != 2 or len(array) != n:
-        raise BadInput(where, key, f'has shape {array.shape}', f'give {n} rows, one a state')
-    array.flags.writeable = False
-    return array
-
-
-def _vector(value: Any, default: np.ndarray, where: object, key: str,
-            unknown: bool = False) -> np.ndarray:
-    array = _array(default if value is None else value, where, key, unknown)
-    if array.shape != default.shape:
-        raise BadInput(where, key, f'{shown(value)} does not fit', f'give {len(default)} numbers')
-    return array
-
-
-def _noise(value: Any, count: int, where: object, key: str = 'noise') -> np.ndarray:
-    array = _vector(value, np.full(count, np.nan), where, key, unknown=True)
-    if (array < 0.0).any():
-        raise BadInput(where, key, f'{shown(value)} is negative somewhere',
-                       f'give {count} standard deviations, NaN where unknown')
-    return array
-
-
-def _turns(value: Any, count: int, where: object) -> np.ndarray:
-    array = _vector(value, np.full(count, np.nan), where, 'wrap', unknown=True)
-    if (array <= 0.0).any():
-        raise BadInput(where, 'wrap', f'{shown(value)} is not above 0 somewhere', 'give what a '
-                       'turn is in each reading, such as 2*pi or 360; NaN where nothing wraps')
-    return array
-
-
-def _direct(value: Any, height: int, width: int, where: object, key: str) -> np.ndarray:
-    # what a sensor reads directly; flat: the row of the only sensor, or the only column
-    array = np.zeros((height, width)) if value is None else _array(value, where, key)
-    if array.ndim == 1 and array.size == height * width and 1 in (height, width):
-        array = array.reshape(height, width)
-    if array.shape != (height, width):
-        raise BadInput(where, key, f'has shape {array.shape}',
-                       f'give one row of {width} numbers a sensor')
-    array.flags.writeable = False
-    return array
-
-
-def _ranges(value: Any, n: int, where: object, key: str, each: str) -> np.ndarray:
-    array = _array(np.tile([-np.inf, np.inf], (n, 1)) if value is None else value, where, key,
-                   infinite=True)
-    if array.shape != (n, 2):
-        raise BadInput(where, key, f'has shape {array.shape}',
-                       f'give {n} rows of low and high, one {each}')
-    if not (array[:, 0] < array[:, 1]).all():
-        raise BadInput(where, key, f'{shown(value)} has a low that is not below its high',
-                       'give low < high, -inf and inf where unknown')
-    return array
-
-
-def _marks(names: Any, states: tuple[str, ...], where: object) -> np.ndarray:
-    chosen = _listed(names, where, 'slow')
-    for name in chosen:
-        if name not in states:
-            raise BadInput(where, 'slow', f'unknown state {shown(name)}',
-                           suggestion(name, states))
-    marks = np.array([state in chosen for state in states])
-    marks.flags.writeable = False
-    return marks
-
-
-def _tolerances(given: Mapping[str, float], sensors: tuple[str, ...],
-                where: object) -> dict[str, float]:
-    for name in given:
-        if name not in sensors:
-            raise BadInput(where, 'tolerances', f'unknown sensor {shown(name)}',
-                           suggestion(name, sensors))
-    sizes = _vector(list(given.values()), np.zeros(len(given)), where, 'tolerances')
-    if not (sizes > 0.0).all():
-        raise BadInput(where, 'tolerances', f'{shown(dict(given))} holds one that is not positive',
-                       'give how far off an estimate may be')
-    return dict(zip(given, sizes.tolist()))
-
-
-def _curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
-            where: object) -> dict[str, Curve]:
-    for name, curve in given.items():
-        if name not in sensors:
-            raise BadInput(where, 'curves', f'unknown sensor {shown(name)}',
-                           suggestion(name, sensors))
-        if not isinstance(curve, Curve):
-            raise BadInput(where, f'curves.{name}', f'{shown(curve)} is no Curve', 'give '
-                           'Curve(offset), or Curve(text=.., low=.., high=..)')
-        curve.check(where, f'curves.{name}')
-    return dict(given)
-
-
-def _delays(value: Any, count: int, sample_time: Any, where: object, key: str) -> np.ndarray:
-    array = _vector(value, np.zeros(count), where, key)
-    if (array < 0.0).any():
-        raise BadInput(where, key, f'{shown(value)} is negative somewhere', 'give times in s')
-    if array.any() and sample_time is not None:
-        steps = array / _sample_time(sample_time, where)
-        if (abs(steps - np.rint(steps)) > 1e-6).any():
-            raise BadInput(where, key, f'{shown(value)} is no whole number of samples',
-                           f'give multiples of {sample_time:g} s')
-    return array
-
-
-def _rates(value: Any, count: int, where: object) -> np.ndarray:
-    array = _vector(value, np.full(count, np.nan), where, 'sensor_rate', unknown=True)
-    if (array <= 0.0).any():
-        raise BadInput(where, 'sensor_rate', f'{shown(value)} is not above 0 somewhere',
-                       'give readings a second, NaN where unknown')
-    return array
-
-
-def _sample_time(value: Any, where: object) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) \
-            or not 0.0 < value <= LARGEST:
-        raise BadInput(where, 'sample_time', f'{shown(value)} is not a positive number',
-                       'give seconds, or None for continuous time')
-    return float(value)
-
-
-def _names(given: Sequence[str] | None, letter: str, count: int, where: object,
-           key: str) -> tuple[str, ...]:
-    if given is None:
-        return tuple(f'{letter}{i + 1}' for i in range(count))
-    names = tuple(_listed(given, where, key))
-    if len(names) != count:
-        raise BadInput(where, key, f'{len(names)} names for {count}', 'give one name each')
-    for name in names:
-        check_name(name, where, key)
-    if len(set(names)) < count:
-        twice = next(name for name in names if names.count(name) > 1)
-        raise BadInput(where, key, f'{twice} is named twice', 'name each once')
-    return names
-
-
-def _listed(value: Any, where: object, key: str) -> list[Any]:
-    try:
-        return [value] if isinstance(value, (str, NonlinearTerm)) else list(value)
-    except TypeError:
-        raise BadInput(where, key, f'{shown(value)} is not a list', 'give a list') from None
-
-
-def check_distinct(where: object, groups: Mapping[str, Sequence[str]]) -> None:
-    """Raise BadInput when a name stands in two of the groups."""
-    seen: dict[str, str] = {}
-    for group, names in groups.items():
-        for name in names:
-            if name in seen:
-                raise BadInput(where, group, f'{name} is also one of the {seen[name]}',
-                               'rename one of them')
-            seen[name] = group
-
-
-def _terms(G: Any, nonlinearities: Sequence[str | NonlinearTerm] | None, p: np.ndarray,
-           states: tuple[str, ...], inputs: tuple[str, ...],
-           where: object) -> tuple[tuple[np.ndarray, ...], tuple[NonlinearTerm, ...]]:
-    texts = [] if nonlinearities is None else _listed(nonlinearities, where, 'nonlinearities')
-    given = [] if G is None else _listed(G, where, 'G')
-    if len(texts) == 1 and given and not np.iterable(given[0]):
-        given = [given]    # one flat row for the only term
-    q = p.shape[1]
-    if not len(texts) == len(given) == q:
-        raise BadInput(where, 'nonlinearities', f'{len(texts)} nonlinearities, {len(given)} of '
-                       f'G and {q} columns of P', 'give one of each a term')
-    rows, terms = [], []
-    for i, (text, g) in enumerate(zip(texts, given)):
-        key = f'nonlinearities[{i}]'
-        row = _array(g, where, f'G[{i}]')
-        row = _matrix(row if row.size else np.zeros((0, len(states))), where, f'G[{i}]', row=True)
-        if row.shape[1] != len(states):
-            raise BadInput(where, f'G[{i}]', f'has shape {row.shape}',
-                           f'give rows of {len(states)} numbers')
-        if isinstance(text, NonlinearTerm):
-            check_text(text.name, where, key)
-            _vector(text.slope, np.zeros(len(row)), where, f'{key}.slope')
-            check_term(text, inputs, where, key)
-            terms.append(text)
-        else:
-            bare = make_term(text, len(row), inputs, where, key)
-            terms.append(NonlinearTerm(plain_name(bare.text, row, states), bare.text,
-                                       bare.slope))
-        rows.append(row)
-    return tuple(rows), tuple(terms)

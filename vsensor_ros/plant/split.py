@@ -36,7 +36,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
     slope_at,
 )
-from vsensor_ros.plant.plant import affine_node, plain_name
+from vsensor_ros.plant.plain_name import affine_node, plain_name
 
 _ONE = Number(1.0)
 
