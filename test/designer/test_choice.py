@@ -15,7 +15,6 @@ from vsensor_ros.designer.form_search import search
 from vsensor_ros.functions.nonlinearity import make_term, slope_at
 from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.observers.kinds.functional.argument_name import argument_place, together
-from vsensor_ros.observers.kinds.functional.term_name import full_name, short_name
 from vsensor_ros.report.design_answer import answer
 
 MOTOR = """
@@ -253,26 +252,9 @@ def test_regions_are_told_in_states_each_once():
         '2*a - 3*b', -4.0, 0.0)
     assert together([('id', -60.0, 60.0), ('w', -np.inf, np.inf), ('id', -50.0, 70.0)]) == (
         ('id', -50.0, 60.0),)
-
-
-def test_a_long_term_is_named_by_number_and_listed_in_full():
-    long = 'exp(-9758.3/(tr + 273.15))*ca*sqrt(ca)'
-    assert short_name(2, long) == 'term 3 (of tr, ca)'
-    assert full_name(2, long) == f'term 3 (of tr, ca): {long}'
-    assert short_name(0, 'sqrt(level)') == full_name(0, 'sqrt(level)') == 'sqrt(level)'
-
-
-def test_numbers_in_names_of_terms_are_rounded(tmp_path):
-    plant = loaded(tmp_path, """
-name: rounded
-time: continuous
-parameters: {a: 364.74651940633856}
-states: {x: {}}
-inputs: {}
-dynamics: {x: -x - sin(a*x/7)}
-sensors: {X: {measures: x}, Y: {measures: x}}
-""")
-    assert plant.terms[0].name == 'sin(52.1066*x)'
+    own = [('a', -1.0, 1.0), ('b', 0.0, 2.0)]
+    assert together([*own, ('a - b', -3.0, 1.0)]) == tuple(own)
+    assert together([('a + 2*b', -1.0, 4.0), *own]) == (('a + 2*b', -1.0, 4.0), *own)
 
 
 def test_what_is_unstable_only_between_the_ends_of_a_range_is_said():

@@ -11,7 +11,8 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.plant import load_plant
+from vsensor_ros.functions.expression import parse
+from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.plant.plain_name import plain_name
 
 ROOT = Path(__file__).parents[2]
@@ -289,7 +290,36 @@ def test_elements_of_arrays_and_whole_arrays(tmp_path):
     ('2*w1*(4*w1)', 0.25, '0.5*v*v'), ('tanh(2*w1)*(2*w1)', 0.5, 'tanh(v)*v'),
     ('exp(w1)*3', 1.0, 'exp(v)*3'), ('2*(w1/3)', 1.0, '2*(v/3)'), ('2*w1', 0.5, 'v')])
 def test_numbers_that_meet_in_the_name_of_a_term_are_one(text, factor, name):
-    assert plain_name(text, np.array([[factor]]), ('v',)) == name
+    assert plain_name(parse(text), np.array([[factor]]), ('v',)) == name
+
+
+def test_terms_are_told_in_the_words_of_the_file(tmp_path):
+    plant = load_plant(written(tmp_path, """
+name: reactor
+time: continuous
+parameters: {E: 9758.3, zero: 273.15, k: 364.74651940633856, full: 5.1, row: [3, 4]}
+states: {ca: {}, tr: {}}
+inputs: {flow: {}}
+dynamics:
+  ca: flow*(full - ca) - k*exp(-E/(tr + zero))*ca
+  tr: -tr - sin(k*tr/7)*1.23456789*abs(row[1]*tr - 2*pi) + 2*zero
+sensors: {thermometer: {measures: tr}}
+"""))
+    assert [t.name for t in plant.terms] == [
+        'flow*(full - ca)', 'exp(-E/(tr + zero))*ca', 'sin(k*tr/7)*abs(row[1]*tr - 2*pi)',
+        'constant']
+    assert plant.terms[2].text == 'sin(52.10664562947694*w1)*abs(4*w1 - 6.283185307179586)'
+
+
+def test_a_long_term_has_a_short_name_with_its_number(tmp_path):
+    made = Plant.from_matrices(
+        -np.eye(4), np.eye(4)[:, :1], np.eye(4), P=np.eye(4)[:, [0, 0, 1]], inputs=('flow',),
+        G=[[1, 0, 0, 0], [[1, 0, 0, 0], [0, 0, 1, 0]], np.eye(4)],
+        nonlinearities=['sqrt(w1)', 'exp(-9758.3/(w2 + 273.15))*w1*sqrt(w1)*flow',
+                        'exp(-9758.3/(w2 + 273.15))*w1*sqrt(w3)*w4'])
+    assert [t.short for t in made.terms] == ['sqrt(x1)', 'term 2 (of x1, x3, flow)',
+                                             'term 3 (of x1, x2, x3, ..)']
+    assert made.part([0, 2], [0], [], [1]).terms[0].short == 'term 2 (of x1, x3, flow)'
 
 
 def test_rates_may_be_per_hour(tmp_path):

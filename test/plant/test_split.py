@@ -156,7 +156,7 @@ def test_states_named_as_arguments_do_not_mix():
     parts = split_equations(equations, ('w1', 'w2'), (), (), 'f')
     assert [t.text for t in parts.terms] == ['sqrt(w1)', 'w1*w2']
     assert parts.G[0].tolist() == [[-1, 1]]
-    assert [t.name for t in parts.terms] == ['sqrt(-w1 + w2)', 'w1*w2']
+    assert [t.name for t in parts.terms] == ['sqrt(w2 - w1)', 'w1*w2']
 
 
 def test_check_catches_a_wrong_split():

@@ -40,13 +40,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             progress(0, 1, 'places for one more sensor')
         places = (locations(plant, up_to=max(map(len, result.fault_sets)))
                   if options.locate else None)
-        written = f'written to {options.output}'
-        if options.report:
-            path = write_report(options.report, plant, result, places, progress)
-            written += f', the report to {path}'
-        _clear(progress)
         minded = advice(plant, result, lambda other, lost: design(
             other, [lost], **{**_choices(options), 'up_to': None}))
+        written = f'written to {options.output}'
+        if options.report:
+            path = write_report(options.report, plant, result, places, progress, minded)
+            written += f', the report to {path}'
+        _clear(progress)
         _say(f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}')
     except BadInput as error:
         _clear(progress)

@@ -86,7 +86,7 @@ def _steep(plant: Plant) -> Iterator[str]:
         state = int(np.argmax(damping))
         if damping[state] <= STEEP * rest or not damping[state]:
             continue
-        yield (f'{term.name}: the operating point is where it is steep: its slope adds '
+        yield (f'{term.short}: the operating point is where it is steep: its slope adds '
                f'{damping[state]:.3g} 1/s to {plant.states[state]}, all else has {rest:.3g} 1/s, '
                'and governs the gains; give an operating_point in motion'
                + _beyond(inner[0], g, plant))
@@ -172,7 +172,7 @@ def _dear_friction(plant: Plant, entry: VirtualSensor, unit: str, without: str,
         return []
     dropped = sorted({*found.reads, *found.commands} - {*entry.reads, *entry.commands})
     lost = f', and what {" and ".join(dropped)} tells is not used' if dropped else ''
-    terms = ' and '.join(plant.terms[i].name for i in signs)
+    terms = ' and '.join(plant.terms[i].short for i in signs)
     return [f'{without}: {terms} costs most of its quality: noise error '
             f'{_figure(entry.noise.error, unit)}, without it {_figure(found.noise.error, unit)}'
             f'{lost}: at rest no reading of a speed tells what it is, so it is kept out; write '

@@ -41,7 +41,7 @@ from vsensor_ros.designer.slopes import jumps
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.uncovered import uncovered
 from vsensor_ros.observers import Certificate, Limit, VirtualSensor
-from vsensor_ros.observers.kinds.functional import short_name, sum_place, together
+from vsensor_ros.observers.kinds.functional import sum_place, together
 from vsensor_ros.plant.plant import Plant
 
 # of boxes, in operating points
@@ -210,7 +210,7 @@ def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certific
         near = error_system(sensor, slope_bounds(plant, sensor, plant.ranges, plant.input_range))
         if len(near.loose.p.T) or len(near.rising.p.T):
             reason += (f'; no bound for errors of the readings is known: the slope of '
-                       f'{_listed([sensor.terms[i].name for i in measured])} has none')
+                       f'{_listed([sensor.terms[i].short for i in measured])} has none')
         else:
             error = near
             reason += '; its bound holds while states and inputs stay in the given ranges'
@@ -266,7 +266,7 @@ def _runaway(sensor: VirtualSensor, bounds: Bounds) -> str:
             push = float(row @ sensor.P[:, i])
             if sensor.sample_time is None and jumps(sensor.terms[i]) and (
                     high > INFINITE_SLOPE and push > 0 or low < -INFINITE_SLOPE and push < 0):
-                name = short_name(i, sensor.terms[i].name)
+                name = sensor.terms[i].short
                 return (f'{name} drives its own argument away from zero: '
                         'two branches can stay apart')
     return ''
@@ -277,7 +277,7 @@ def _obstacle(plant: Plant, sensor: VirtualSensor, bounds: Bounds, box: Box,
     """Say in one clause why no form was found."""
     for i, slopes in bounds.items():
         for row, (low, high) in zip(sensor.Gz[i], slopes):
-            name = short_name(i, sensor.terms[i].name)
+            name = sensor.terms[i].short
             steep = high > INFINITE_SLOPE, low < -INFINITE_SLOPE
             if row.any() and all(steep):
                 return f'the slope of {name} has no bound {place}'
@@ -331,7 +331,7 @@ def _said(sensor: VirtualSensor, reason: str) -> str:
 
 
 def _term_names(sensor: VirtualSensor) -> list[str]:
-    return [short_name(i, sensor.terms[i].name) for i in feeding_terms(sensor)]
+    return [sensor.terms[i].short for i in feeding_terms(sensor)]
 
 
 def _listed(texts: Sequence[str]) -> str:

@@ -245,7 +245,7 @@ def _warned(problem: Problem, found: VirtualSensor | Refusal) -> VirtualSensor |
     risky = measured_signs(problem)
     if isinstance(found, VirtualSensor) and risky & set(found.active):
         unsure = Reason.of('unsure at rest',
-                           terms=tuple(problem.plant.terms[i].name for i in sorted(risky)))
+                           terms=tuple(problem.plant.terms[i].short for i in sorted(risky)))
         found = replace(found, method=f'{found.method}; {say(unsure)}')
     return found
 

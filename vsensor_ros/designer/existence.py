@@ -157,7 +157,7 @@ def disturbed(problem: Problem, forced: frozenset[int]) -> Reason:
         culprits = culprits or plant.disturbances
         return Reason.of('unknown inputs', names=culprits, way=_way(problem, culprits),
                          healthy=problem.healthy)
-    return Reason.of('terms', names=tuple(plant.terms[i].name for i in sorted(forced)),
+    return Reason.of('terms', names=tuple(plant.terms[i].short for i in sorted(forced)),
                      healthy=problem.healthy)
 
 

@@ -315,7 +315,7 @@ def _refusal(base: Ground, doubts: list[str]) -> Refusal:
     problem = base.problem
     terms = problem.plant.terms
     return Refusal(problem.channel, problem.fault_set, say(Reason.of(
-        'none stable', order=base.known.order, terms=tuple(term.name for term in terms),
+        'none stable', order=base.known.order, terms=tuple(term.short for term in terms),
         signs=any(set_valued(term) for term in terms))), doubts=tuple(dict.fromkeys(doubts)))
 
 

@@ -58,7 +58,7 @@ def least_order(problem: Problem, avoid: frozenset[int], method: str) -> Virtual
                 return _choose(sensors)
     return Refusal(problem.channel, problem.fault_set, say(Reason.of(
         'none in canonical form', order=existence.quotient.order, form=method,
-        terms=tuple(t.name for t in problem.plant.terms))))
+        terms=tuple(t.short for t in problem.plant.terms))))
 
 
 def _choose(sensors: list[VirtualSensor]) -> VirtualSensor:

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 import difflib
 import keyword
 import math
 import re
+from types import MappingProxyType
 from typing import Any
 import warnings
 
@@ -29,15 +30,17 @@ from vsensor_ros.functions.table import pieces, TABLES, wrong_points
 
 MAX_CHARACTERS = 8000  # a table of a hundred points
 MAX_DEPTH = 50
+DIGITS = 6  # of numbers in words
 CONSTANTS = {'pi': math.pi}
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 @dataclass(frozen=True)
 class Number:
-    """A finite constant."""
+    """A finite constant; as what a person wrote it, where that was no number: k, 2*pi."""
 
     value: float
+    written: Node | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,14 @@ class Apply:
 
     function: str
     arguments: tuple[Node, ...]
+    called: str = field(default='', compare=False, repr=False)  # of a table: its own name
 
 
 Node = Number | Name | Apply
+Tables = Mapping[str, tuple[str, tuple[Node, ...]]]  # by name: 'table' or .., and its points
 Closure = Callable[[Any], Any]
+
+NO_TABLES: Tables = MappingProxyType({})
 
 _BINARY: dict[type, str] = {ast.Add: '+', ast.Sub: '-', ast.Mult: '*', ast.Div: '/',
                             ast.Pow: '**'}
@@ -77,11 +84,11 @@ def _allowed() -> str:
 
 
 def parse(text: str | float, where: object = 'expression', key: str = '',
-          known: Iterable[str] | None = None) -> Node:
+          known: Iterable[str] | None = None, tables: Tables = NO_TABLES) -> Node:
     """
     Read an expression; a plain number is one too.
 
-    known: the names it may use (all when None).
+    known: the names it may use (all when None); tables: those that it may call by name.
     Raises BadInput when anything outside the language is in it, naming that and what is
     allowed, and when a constant part of it has no finite value.
     """
@@ -108,7 +115,7 @@ def parse(text: str | float, where: object = 'expression', key: str = '',
         reason = error.msg if isinstance(error, SyntaxError) else 'nested too deeply'
         raise BadInput(where, key, f'{shown(text)} cannot be read ({reason})',
                        _allowed()) from None
-    node = _whitelisted(tree, where, key, 1)
+    node = _whitelisted(tree, where, key, 1, tables)
     if known is not None:
         check_names(node, known, where, key)
     fold(node, where, key)
@@ -138,7 +145,10 @@ def check_names(node: Node, known: Iterable[str], where: object = 'expression',
                            + 'known names: ' + (', '.join(known) or 'none'))
 
 
-def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
+def _whitelisted(tree: ast.AST, where: object, key: str, depth: int, tables: Tables) -> Node:
+    def inner(part: ast.AST) -> Node:
+        return _whitelisted(part, where, key, depth + 1, tables)
+
     def refused(what: str) -> BadInput:
         return BadInput(where, key, f'{what} is not in the language', _allowed())
 
@@ -156,20 +166,19 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
             raise BadInput(where, key, 'a number in it is too large', 'keep it below 1e308')
         return Number(value)
     if isinstance(tree, ast.Name):
-        if tree.id in CATALOGUE:
+        if tree.id in CATALOGUE or tree.id in tables:
             raise BadInput(where, key, f'{tree.id} is a function',
                            f'write {tree.id}(...) or rename the variable')
-        return Number(CONSTANTS[tree.id]) if tree.id in CONSTANTS else Name(tree.id)
+        return Number(CONSTANTS[tree.id], Name(tree.id)) if tree.id in CONSTANTS \
+            else Name(tree.id)
     if isinstance(tree, ast.Subscript):
         return Name(_indexed(tree, refused))
     if isinstance(tree, ast.BinOp):
         if type(tree.op) not in _BINARY:
             raise refused(_word(tree.op))
-        return Apply(_BINARY[type(tree.op)],
-                     (_whitelisted(tree.left, where, key, depth + 1),
-                      _whitelisted(tree.right, where, key, depth + 1)))
+        return Apply(_BINARY[type(tree.op)], (inner(tree.left), inner(tree.right)))
     if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, (ast.USub, ast.UAdd)):
-        operand = _whitelisted(tree.operand, where, key, depth + 1)
+        operand = inner(tree.operand)
         return negate(operand) if isinstance(tree.op, ast.USub) else operand
     if isinstance(tree, ast.Call):
         if not isinstance(tree.func, ast.Name):
@@ -177,21 +186,24 @@ def _whitelisted(tree: ast.AST, where: object, key: str, depth: int) -> Node:
                           else _word(tree.func))
         name = tree.func.id
         if name in TABLES and tree.args and not tree.keywords:
-            return table_node(name, *(_whitelisted(a, where, key, depth + 1) for a in tree.args),
-                              where=where, key=key)
-        if name not in CATALOGUE:
-            near = difflib.get_close_matches(name, CATALOGUE, 1)
+            return table_node(name, *map(inner, tree.args), where=where, key=key)
+        if name not in CATALOGUE and name not in tables:
+            near = difflib.get_close_matches(name, (*tables, *CATALOGUE), 1)
             hint = f'did you mean {near[0]}? ' if near else ''
             raise BadInput(where, key, f'the function {shown(name)} is not in the language',
                            hint + _allowed())
         strange = [a for a in tree.args if isinstance(a, ast.Starred)] + tree.keywords
         if strange:
             raise refused(_word(strange[0]))
-        arity = CATALOGUE[name].arity
+        arity = 1 if name in tables else CATALOGUE[name].arity
         if len(tree.args) != arity:
             raise BadInput(where, key, f'{name} is given {len(tree.args)} arguments',
                            f'it takes {arity}')
-        return Apply(name, tuple(_whitelisted(a, where, key, depth + 1) for a in tree.args))
+        arguments = tuple(map(inner, tree.args))
+        if name in tables:
+            kind, points = tables[name]
+            return Apply(kind, (*arguments, *points), name)
+        return Apply(name, arguments)
     raise refused(_word(tree.op if isinstance(tree, ast.UnaryOp) else tree))
 
 
@@ -224,27 +236,39 @@ def _word(tree: ast.AST) -> str:
 
 def negate(node: Node) -> Node:
     """Return -node; a number stays a number."""
-    return Number(-node.value) if isinstance(node, Number) else Apply('neg', (node,))
+    if isinstance(node, Number):
+        return Number(-node.value, node.written and Apply('neg', (node.written,)))
+    return Apply('neg', (node,))
 
 
 def to_text(node: Node) -> str:
     """Print a node so that parse gives the same node again."""
-    return _printed(node)[0]
+    return _printed(node, False)[0]
 
 
-def _printed(node: Node) -> tuple[str, int]:
+def to_words(node: Node) -> str:
+    """Print a node as a person wrote it: parameters and tables by name, numbers rounded."""
+    return _printed(node, True)[0]
+
+
+def _printed(node: Node, words: bool) -> tuple[str, int]:
     if isinstance(node, Name):
         return node.id, 5
     if isinstance(node, Number):
-        text = repr(float(node.value))
+        if words and node.written is not None:
+            return _printed(node.written, words)
+        text = f'{node.value:.{DIGITS}g}' if words else repr(float(node.value))
         negative = text.startswith('-')
         return text[:-2] if text.endswith('.0') else text, 3 if negative else 5
+    if words and node.called:
+        return f'{node.called}({_printed(node.arguments[0], words)[0]})', 5
     own = function_of(node).precedence
     if own is None:
-        return f'{node.function}({", ".join(to_text(a) for a in node.arguments)})', 5
+        inner = ', '.join(_printed(a, words)[0] for a in node.arguments)
+        return f'{node.function}({inner})', 5
 
     def side(argument: Node, at_least: int) -> str:
-        text, precedence = _printed(argument)
+        text, precedence = _printed(argument, words)
         return text if precedence >= at_least else f'({text})'
 
     if node.function == 'neg':
@@ -273,9 +297,9 @@ def substitute(node: Node, values: Mapping[str, Node | float]) -> Node:
     """Replace names, all at once."""
     if isinstance(node, Name) and node.id in values:
         value = values[node.id]
-        return Number(float(value)) if isinstance(value, (int, float)) else value
+        return Number(float(value), node) if isinstance(value, (int, float)) else value
     if isinstance(node, Apply):
-        return Apply(node.function, tuple(substitute(a, values) for a in node.arguments))
+        return replace(node, arguments=tuple(substitute(a, values) for a in node.arguments))
     return node
 
 
@@ -289,7 +313,7 @@ def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
     if not isinstance(node, Apply):
         return node
     arguments = tuple(fold(a, where, key) for a in node.arguments)
-    folded = Apply(node.function, arguments)
+    folded = replace(node, arguments=arguments)
     function = function_of(node)
     numbers = _constants(arguments)
     with np.errstate(all='ignore'):
@@ -301,7 +325,8 @@ def fold(node: Node, where: object = 'expression', key: str = '') -> Node:
         why = f'domain: {function.domain}' if outside else 'too large'
         raise BadInput(where, key, f'{shown(to_text(folded))} has no value ({why})',
                        'correct the numbers or parameters in it')
-    return Number(value)
+    by_name = any(isinstance(a, Number) and a.written for a in arguments)
+    return Number(value, folded if by_name or node.called else None)
 
 
 def function_of(node: Apply) -> Function:

@@ -47,8 +47,10 @@ class NonlinearTerm:
     name: str            # for people, in the plant's names: 'sqrt(level1 - level2)'
     text: str            # f in the expression language: 'sqrt(w1)'
     slope: np.ndarray    # (r,), the formal addend
+    short: str = ''      # for sentences, where the name is long: 'term 3 (of tr, ca)'
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, 'short', self.short or self.name)
         self.slope.flags.writeable = False
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.curve import Curve
-from vsensor_ros.functions.expression import check_name
+from vsensor_ros.functions.expression import check_name, parse
 from vsensor_ros.functions.nonlinearity import check_term, make_term, NonlinearTerm
-from vsensor_ros.plant.plain_name import plain_name
+from vsensor_ros.plant.plain_name import plain_name, short_names
 
 LARGEST = 1e75    # of an entry: products of four must not overflow
 
@@ -255,7 +255,7 @@ def checked_terms(G: Any, nonlinearities: Sequence[str | NonlinearTerm] | None, 
             terms.append(text)
         else:
             bare = make_term(text, len(row), inputs, where, key)
-            terms.append(NonlinearTerm(plain_name(bare.text, row, states), bare.text,
+            terms.append(NonlinearTerm(plain_name(parse(bare.text), row, states), bare.text,
                                        bare.slope))
         rows.append(row)
-    return tuple(rows), tuple(terms)
+    return tuple(rows), short_names(terms, rows, states, inputs)

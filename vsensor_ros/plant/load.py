@@ -248,7 +248,7 @@ def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],
             file.required(entry, 'function', key, 'write it over w1, w2, ...'),
             f'{key}.function', (*argument_names(len(G)), *inputs))
         term = make_term(to_text(node), len(G), inputs, file.path, f'{key}.function')
-        terms.append(replace(term, name=plain_name(term.text, G, states)))
+        terms.append(replace(term, name=plain_name(node, G, states)))
         rows.append(G)
     sizes = {'A': n, 'B': len(inputs), 'D': len(disturbances), 'P': len(terms)}
     arrays = {letter: file.matrix(given.get(letter), f'matrices.{letter}', n, width)

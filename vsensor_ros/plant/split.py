@@ -28,6 +28,7 @@ from vsensor_ros.functions.expression import (
     Number,
     substitute,
     to_text,
+    to_words,
 )
 from vsensor_ros.functions.nonlinearity import (
     argument_names,
@@ -36,7 +37,7 @@ from vsensor_ros.functions.nonlinearity import (
     NonlinearTerm,
     slope_at,
 )
-from vsensor_ros.plant.plain_name import affine_node, plain_name
+from vsensor_ros.plant.plain_name import affine_node, CONSTANT
 
 _ONE = Number(1.0)
 
@@ -64,9 +65,9 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
     """
     Split one right-hand side a state; the only names left are states, inputs, disturbances.
 
-    And those of definitions, which are no sums: a term in which one is prints it by its name. No
-    formal addend is taken out. Raises BadInput when a disturbance is inside a nonlinear
-    addend.
+    And those of definitions, which are no sums: terms name them as they were written, and so
+    parameters and tables. No formal addend is taken out. Raises BadInput when a disturbance is
+    inside a nonlinear addend.
     """
     n = len(states)
     A, B, D = np.zeros((n, n)), np.zeros((n, len(inputs))), np.zeros((n, len(disturbances)))
@@ -89,7 +90,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
             rows: list[np.ndarray] = []
             text = to_text(lifted(core, states, inputs, rows, definitions))
             G = np.array(rows).reshape(len(rows), n)
-            name = '' if definitions.keys().isdisjoint(names(core)) else to_text(core)
+            name = CONSTANT if core == _ONE else to_words(core)
             _, column, _ = cores.setdefault((text, G.tobytes()), (G, np.zeros(n), name))
             column[i] += factor
     # a core whose addends cancel is no term
@@ -97,7 +98,6 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
             if column.any()]
     terms = []
     for text, G, _, name in kept:
-        name = name or plain_name(text, G, states)
         terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
     return Split(A, B, D, np.array([c for _, _, c, _ in kept]).reshape(len(kept), n).T,
                  tuple(G for _, G, _, _ in kept), tuple(terms))
@@ -118,7 +118,7 @@ def _reduced(node: Node, where: object, key: str) -> Node:
     if not isinstance(node, Apply):
         return node
     parts = tuple(_reduced(argument, where, key) for argument in node.arguments)
-    node = fold(Apply(node.function, parts), where, key)
+    node = fold(replace(node, arguments=parts), where, key)
     form = affine(node)
     if form is not None and set(form) <= {OFFSET}:
         return Number(form.get(OFFSET, 0.0))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 import textwrap
 
 from vsensor_ros.designer.location import Location
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
-from vsensor_ros.observers.kinds.functional import short_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.report import design_text, for_a_time
 
@@ -47,11 +46,11 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
             lines += _refused(entry) if isinstance(entry, Refusal) else _facts(
                 entry, result, plant)
             lines.append('')
-    long = _long_terms(entry for (fault_set, _), entry in result.entries.items()
-                       if blocks is None or fault_set in blocks)
-    if long:
-        lines += ['Terms', *(line for short, name in long.items()
-                             for line in _hanging('', f'{short}: {name}', 0)), '']
+    said = ' '.join(' '.join(lines).split())
+    called = [term for term in design_text.long_terms(result, plant) if term.short in said]
+    if called:
+        lines += ['Terms', *(line for term in called
+                             for line in _hanging('', f'{term.short}: {term.name}', 0)), '']
     hidden = sum(blocks is not None and s not in blocks for s, _ in result.entries)
     if hidden:
         lines += [f'{hidden} more not printed: ask with --details SENSORS or --details all, or '
@@ -89,10 +88,9 @@ def _hanging(head: str, text: str, width: int) -> list[str]:
 
 
 def _refused(entry: Refusal) -> list[str]:
-    lines = [f'    {entry.reason}']
-    if entry.alternative:
-        lines.append(f'    instead: {entry.alternative}')
-    return lines + [f'    in doubt: {doubt}' for doubt in entry.doubts]
+    said = [entry.reason, *([f'instead: {entry.alternative}'] if entry.alternative else []),
+            *(f'in doubt: {doubt}' for doubt in entry.doubts)]
+    return [line for text in said for line in _hanging('', text, 0)]
 
 
 def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
@@ -100,7 +98,7 @@ def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
     if not isinstance(entry, VirtualSensor):
         return [line for name, value in design_text.facts(entry, unit)
                 for line in _hanging(name, value, 18)]
-    terms = [short_name(i, entry.terms[i].name) for i in entry.active
+    terms = [entry.terms[i].short for i in entry.active
              if entry.terms[i].text != '1']  # an offset of the equations, which bends nothing
     if entry.grade == 'temporary':
         facts = _good_for(entry, result, plant)
@@ -121,22 +119,14 @@ def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
     if terms:
         facts.append(('nonlinear terms', ', '.join(terms)))
     facts += [('stability' if i == 0 else '', said)
-              for i, said in enumerate(design_text.certificate(entry))]
+              for i, said in enumerate(design_text.certificate(entry, result.units))]
     if len(entry.ladder) > 1:
         facts += [('ladder' if i == 0 else '', (
             f'order {rung.order}: noise error {design_text.number(rung.noise, unit)}, decay '
-            f'{design_text.number(rung.decay, "1/s")}{" <- this one" if taken else ""}'))
+            f'{design_text.rate(rung.decay, entry, "1/s")}{" <- this one" if taken else ""}'))
             for i, (rung, taken) in enumerate(design_text.rungs(entry))]
     facts += [('in doubt', doubt) for doubt in design_text.doubts(entry)]
     return [line for name, value in facts for line in _hanging(name, value, 18)]
-
-
-def _long_terms(entries: Iterable[Entry | Refusal]) -> dict[str, str]:
-    """Return the names in full of terms that the blocks call by number, each once."""
-    named = {i: entry.terms[i].name for entry in entries
-             if isinstance(entry, VirtualSensor) for i in entry.active}
-    return {short: name for i, name in sorted(named.items())
-            if (short := short_name(i, name)) != name}
 
 
 def _good_for(entry: VirtualSensor, result: Design, plant: Plant | None) -> list[tuple[str, str]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.location import Location
+from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers import (
     Certificate,
     Design,
@@ -16,7 +19,7 @@ from vsensor_ros.observers import (
     settling_time,
     VirtualSensor,
 )
-from vsensor_ros.observers.kinds.functional import short_name
+from vsensor_ros.plant import Plant
 
 NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 DEAD = 20.0  # times the sample time: a faster decay than by exp(-20) a step is none
@@ -125,9 +128,13 @@ def state_of(entry: Entry | Refusal) -> str:
 
 
 def left_out(entry: Entry | Refusal) -> str:
-    """Say where in the declared ranges nothing is proved of it, and whether it is unstable."""
+    """Say where in the declared ranges nothing is proved of it, or why nothing is anywhere."""
     c = None if isinstance(entry, Refusal) else entry.certificate
-    return f', BUT NOT PROVED {c.uncovered}' if c is not None and c.uncovered else ''
+    if c is None or isinstance(entry, Refusal) or entry.grade == 'temporary':
+        return ''
+    if c.uncovered:
+        return f', BUT NOT PROVED {c.uncovered}'
+    return f', BUT NOT CERTIFIED: {c.reason}' if c.status == 'none' and entry.order else ''
 
 
 def order(entry: Entry) -> str:
@@ -168,10 +175,16 @@ def decay(entry: Entry) -> str:
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
+    said = rate(entry.decay, entry, '1/s')
+    return f'{said} (an error is down to 5 % in {number(settled, "s")})'
+
+
+def rate(decay: float, entry: Entry, unit: str = '') -> str:
+    """Say how fast errors die out, of an entry or a rung of its ladder."""
     step = entry.sample_time if isinstance(entry, VirtualSensor) else None
-    dead = step is not None and entry.decay * step > DEAD
-    rate = 'dead beat' if dead else number(entry.decay, '1/s')
-    return f'{rate} (an error is down to 5 % in {number(settled, "s")})'
+    if np.isinf(decay):
+        return 'at once'
+    return 'dead beat' if step is not None and decay * step > DEAD else number(decay, unit)
 
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
@@ -196,14 +209,14 @@ def reads(entry: Entry) -> str:
     return ', '.join([*entry.reads, *entry.commands]) or 'nothing: it is a constant'
 
 
-def certificate(entry: VirtualSensor) -> list[str]:
-    """Say in sentences how far its stability is proved."""
+def certificate(entry: VirtualSensor, units: Mapping[str, str]) -> list[str]:
+    """Say in sentences how far its stability is proved; units: of states and inputs."""
     c = entry.certificate
     if entry.grade == 'temporary':
         return ['nothing is certified: it starts from the last good readings of '
                 f'{", ".join(entry.tracking.channels) if entry.tracking else "its channel"}']
     if c is None:
-        terms = ', '.join(short_name(i, entry.terms[i].name) for i in entry.active)
+        terms = ', '.join(entry.terms[i].short for i in entry.active)
         if not terms:
             return ['stable everywhere: its error is linear, and the eigenvalues decide']
         return [f'not certified: judged by the linear part alone, without {terms}']
@@ -212,7 +225,7 @@ def certificate(entry: VirtualSensor) -> list[str]:
     elif c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:
-        region = ', '.join(map(_between, entry.region))
+        region = ', '.join(_between(place, units) for place in entry.region)
         where = 'everywhere' if c.status == 'global' else f'only while {region}'
         said = [f'certified {where}: {c.reason}',
                 f'proved decay rate {number(c.rate, "1/s")}' + _bound(c)]
@@ -223,11 +236,21 @@ def certificate(entry: VirtualSensor) -> list[str]:
     return said
 
 
-def _between(place: tuple[str, float, float]) -> str:
+def _between(place: tuple[str, float, float], units: Mapping[str, str]) -> str:
     of, low, high = place
-    if np.isfinite(low):
-        of = f'{number(low)} <= {of}'
-    return f'{of} <= {number(high)}' if np.isfinite(high) else of
+    unit = _unit(of, units)
+    if not np.isfinite(high):
+        return f'{of} >= {number(low, unit)}' if np.isfinite(low) else of
+    return (f'{number(low)} <= ' if np.isfinite(low) else '') + f'{of} <= {number(high, unit)}'
+
+
+def _unit(of: str, units: Mapping[str, str]) -> str:
+    """Return the unit of a quantity, or of a sum of such with the same one; '' when unknown."""
+    try:
+        found = {units.get(name, '') for name in names(parse(of))}
+    except BadInput:  # an argument that has no name
+        return ''
+    return found.pop() if len(found) == 1 else ''
 
 
 def _bound(c: Certificate) -> str:
@@ -252,6 +275,13 @@ def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
     return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
             ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
             ('grade', entry.grade), ('found as', entry.method)]
+
+
+def long_terms(design: Design, plant: Plant | None) -> list[NonlinearTerm]:
+    """Return the nonlinear terms that sentences call by number."""
+    known = plant.terms if plant is not None else next(
+        (v.terms for v in design.virtual_sensors if isinstance(v, VirtualSensor)), ())
+    return [term for term in known if term.short != term.name]
 
 
 def disturbance(entry: VirtualSensor, unit: str) -> str:

@@ -18,7 +18,6 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
-from vsensor_ros.observers.kinds.functional import full_name, short_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import design_text, for_a_time, report_simulation
@@ -80,16 +79,18 @@ def check_target(path: str | Path) -> None:
 
 def write_report(path: str | Path, plant: Plant, design: Design,
                  locations: Sequence[Location] | None = None,
-                 progress: Callable[[int, int, str], None] | None = None) -> Path:
+                 progress: Callable[[int, int, str], None] | None = None,
+                 advice: Sequence[str] = ()) -> Path:
     """
     Write the report of a plant's design to a file named .html, or as index.html into a folder.
 
-    The old file stays whole until the new one is complete. Returns the file's path; raises
-    BadInput when it cannot be written, or when matplotlib is missing.
+    ``advice``: what is to be minded, besides the plant's remarks. The old file stays whole until
+    the new one is complete. Returns the file's path; raises BadInput when it cannot be written, or
+    when matplotlib is missing.
     """
     check_target(path)
     target = Path(path)
-    text = page(plant, design, locations, progress)
+    text = page(plant, design, locations, progress, advice)
     try:
         if not str(path).endswith(PAGES):
             target.mkdir(parents=True, exist_ok=True)
@@ -102,11 +103,13 @@ def write_report(path: str | Path, plant: Plant, design: Design,
 
 
 def page(plant: Plant, design: Design, locations: Sequence[Location] | None = None,
-         progress: Callable[[int, int, str], None] | None = None) -> str:
+         progress: Callable[[int, int, str], None] | None = None,
+         advice: Sequence[str] = ()) -> str:
     """Return the report as HTML."""
     name = escape(design.plant_name)
-    parts = [_summary(design), _plant(plant), _losses(design), _overview(design),
-             _places(plant, design, locations), _entries(plant, design, progress), _reading()]
+    parts = [_summary(design), _minded((*plant.remarks, *advice)), _plant(plant), _losses(design),
+             _overview(design), _places(plant, design, locations),
+             _entries(plant, design, progress), _terms(plant, design), _reading()]
     return ('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
             'style-src \'unsafe-inline\'">\n'
@@ -150,6 +153,11 @@ def _summary(design: Design) -> str:
             'say from the sensors and commands that are left.</p>')
 
 
+def _minded(lines: Sequence[str]) -> str:
+    items = ''.join(f'<li>{escape(line)}</li>' for line in lines)
+    return f'<h2>Mind</h2><ul>{items}</ul>' if items else ''
+
+
 def _unit(plant: Plant, name: str) -> str:
     unit = plant.units.get(name, '')
     return f' [{escape(unit)}]' if unit else ''
@@ -178,11 +186,16 @@ def _plant(plant: Plant) -> str:
     facts = [('time', time), (f'{len(plant.states)} states', named(plant.states)),
              ('commands', named(plant.inputs)),
              ('unknown inputs', '; '.join(acts) or 'none'),
-             ('nonlinear terms', ', '.join(f'<code>{escape(full_name(i, t.name))}</code>'
-                                           for i, t in enumerate(plant.terms)) or 'none')]
-    facts += [('note', escape(remark)) for remark in plant.remarks]
+             ('nonlinear terms', ', '.join(
+                 f'<code>{escape(term.short)}</code>' for term in plant.terms) or 'none')]
     return ('<h2>The plant</h2>' + _facts(facts) + _table(
         measures, ('sensor', 'measures', 'noise (standard deviation)'), (2,)))
+
+
+def _terms(plant: Plant, design: Design) -> str:
+    rows = [(escape(term.short), f'<code>{escape(term.name)}</code>')
+            for term in design_text.long_terms(design, plant)]
+    return '<h2>Terms</h2>' + _table(rows) if rows else ''
 
 
 def _losses(design: Design) -> str:
@@ -228,11 +241,10 @@ def _overview(design: Design) -> str:
             classes.append('no')
             continue
         n = entry.noise
-        rate = design_text.number(entry.decay)
         rows.append((*first, str(entry.order),
                      escape(design_text.number(n.error, unit)) if n else '',
                      f'{n.ratio:.2f}' if n and np.isfinite(n.floor) else '',
-                     'at once' if not entry.order else rate, escape(design_text.certified(entry))))
+                     design_text.rate(entry.decay, entry), escape(design_text.certified(entry))))
         classes.append(entry.grade if entry.grade != 'exact' else '')
     return ('<h2>All at a glance</h2>' + _table(
         rows, ('failed', 'replaced', 'order', 'noise error', 'x floor', 'decay [1/s]',
@@ -300,13 +312,12 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
         ('noise error', '' if temporary else escape(design_text.noise(entry, unit))),
         ('decay', escape(design_text.decay(entry))),
         ('eigenvalues of N', escape(design_text.eigenvalues(entry, EIGENVALUES))),
-        ('stability', '<br>'.join(map(escape, design_text.certificate(entry)))),
+        ('stability', '<br>'.join(map(escape, design_text.certificate(entry, design.units)))),
         ('unknown inputs', escape(design_text.disturbance(entry, unit))
          if plant.disturbances or entry.grade != 'exact' else ''),
         ('noise gain', '' if temporary else f'{design_text.number(entry.noise_gain)}: no error of '
                        'the readings is amplified by more, at any frequency'),
-        ('nonlinear terms', escape(', '.join(short_name(i, entry.terms[i].name)
-                                             for i in entry.active))),
+        ('nonlinear terms', escape(', '.join(entry.terms[i].short for i in entry.active))),
         ('found as', escape(entry.method)),
     ]
     text = _facts(facts)
@@ -318,7 +329,7 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
         text += '<p class=small>The ladder of orders:</p>' + _table(
             [(str(r.order), escape(design_text.number(r.noise, unit)),
               design_text.number(r.noise_gain),
-              'at once' if np.isinf(r.decay) else design_text.number(r.decay),
+              design_text.rate(r.decay, entry),
               escape(r.method) + (', taken' if taken else ''))
              for r, taken in design_text.rungs(entry)],
             ('order', 'noise error', 'noise gain', 'decay [1/s]', 'found as'), (0, 1, 2, 3),

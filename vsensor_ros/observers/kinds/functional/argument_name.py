@@ -10,6 +10,7 @@ from vsensor_ros.functions.affine import affine, OFFSET
 from vsensor_ros.functions.expression import Apply, Name, Node, parse, to_text
 from vsensor_ros.functions.nonlinearity import argument_names, NonlinearTerm
 
+ROUNDING = 1e-9  # relative
 Place = tuple[str, float, float]  # what lies between which limits
 
 
@@ -57,13 +58,28 @@ def _sum(form: dict[str, float]) -> str:
 
 
 def together(places: Iterable[Place]) -> tuple[Place, ...]:
-    """Name each once, within all of its limits; what has no limit is left out."""
+    """Name each once, within all of its limits; what has none, or what others say, is left out."""
     found: dict[str, tuple[float, float]] = {}
     for name, low, high in places:
         least, most = found.get(name, (low, high))
         found[name] = max(low, least), min(high, most)
     return tuple((name, low, high) for name, (low, high) in found.items()
-                 if low > -inf or high < inf)
+                 if (low > -inf or high < inf) and not _follows(name, low, high, found))
+
+
+def _follows(name: str, low: float, high: float,
+             limits: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether a sum lies between low and high because of the limits of its parts."""
+    try:
+        form = affine(parse(name))
+    except BadInput:  # an argument that has no name
+        return False
+    if not form or len(form) < 2 or not form.keys() <= limits.keys():
+        return False
+    ends = [sorted(factor * end for end in limits[part]) for part, factor in form.items()]
+    least, most = (sum(side) for side in zip(*ends))
+    fine = ROUNDING * max(abs(end) for end in (least, most))
+    return least >= low - fine and most <= high + fine
 
 
 def _found(letter: str, term: NonlinearTerm) -> Node | None:

@@ -47,8 +47,9 @@ def write_section(v: VirtualSensor) -> dict[str, Any]:
         'disturbance_gain': v.disturbance_gain,
         'eigenvalues': [[float(e.real), float(e.imag)] for e in v.eigenvalues],
         **{key: getattr(v, key).tolist() for key in _ARRAYS},
-        'terms': [{'name': t.name, 'function': t.text, 'slope': t.slope.tolist(),
-                   'Gz': gz.tolist(), 'Gy': gy.tolist(), 'Gu': gu.tolist()}
+        'terms': [{'name': t.name, **({} if t.short == t.name else {'short': t.short}),
+                   'function': t.text, 'slope': t.slope.tolist(), 'Gz': gz.tolist(),
+                   'Gy': gy.tolist(), 'Gu': gu.tolist()}
                   for t, gz, gy, gu in zip(v.terms, v.Gz, v.Gy, v.Gu)],
         'proof': proof_record(v.proof),
         'ladder': [rung_record(rung) for rung in v.ladder],
@@ -100,9 +101,10 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('eigenvalues', 'are not those of N')
     terms, Gz, Gy, Gu = [], [], [], []
     for item in reader.objects('terms'):
-        item.only(('name', 'function', 'slope', 'Gz', 'Gy', 'Gu'))
+        item.only(('name', 'short', 'function', 'slope', 'Gz', 'Gy', 'Gu'))
         r = len(item.get('slope', list, 'a list of numbers'))
-        term = NonlinearTerm(item.text('name'), item.text('function'), item.array('slope', r))
+        term = NonlinearTerm(item.text('name'), item.text('function'), item.array('slope', r),
+                             item.text('short') if 'short' in item.record else '')
         check_term(term, plant.inputs, reader.path, f'{item.place}function')
         terms.append(term)
         Gz.append(item.array('Gz', r, k))
