@@ -311,6 +311,17 @@ def test_tank_with_empty_levels_relies_on_the_monotone_square_root():
         assert np.linalg.eigvalsh(turned + turned.T)[-1] <= -2 * c.rate + 1e-9 * s.max()
 
 
+def test_where_no_bound_can_be_had_it_is_said_why():
+    """An error n of a level that runs empty is sqrt(n) in its square root: no multiple of n."""
+    steep = system([[-1]], [[1.0]], ['sqrt(w1)'], [[1.0]], [[[0.0]]], [[[1.0]]],
+                   ranges=[[-9, 9], [0, 10]])
+    c = certify(*steep)
+    assert c.status == 'global' and c.bound == np.inf
+    assert 'sqrt(x2) is taken of readings, and has a slope without bound' in c.reason
+    away = certify(replace(steep[0], ranges=np.array([[-9, 9], [0.25, 10]])), steep[1])
+    assert away.bound == pytest.approx(1.0 + 1.0, rel=1e-2) and 'slope without bound' not in away.reason
+
+
 def test_a_sign_that_reads_a_wrong_argument_may_hold_the_error_there():
     """A constant n holds e1 = n at rest, and e1 drives e2 to 5 n."""
     c = certify(*system([[-1, 0], [5, -1]], [[0.0], [0.0]], ['sign(w1)'], [[-10.0], [0.0]],

@@ -205,12 +205,10 @@ def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certific
     if proved is None:
         return None
     reason = 'its error is linear and dies out from every start'
-    measured = [i for i in sensor.active if np.any(sensor.Gy[i])]
     if len(error.loose.p.T) or len(error.rising.p.T):
         near = error_system(sensor, slope_bounds(plant, sensor, plant.ranges, plant.input_range))
         if len(near.loose.p.T) or len(near.rising.p.T):
-            reason += (f'; no bound for errors of the readings is known: the slope of '
-                       f'{_listed([sensor.terms[i].short for i in measured])} has none')
+            bounds = slope_bounds(plant, sensor, plant.ranges, plant.input_range)
         else:
             error = near
             reason += '; its bound holds while states and inputs stay in the given ranges'
@@ -315,8 +313,19 @@ def _certificate(status: str, form: Form, sensor: VirtualSensor, bounds: Bounds,
     size = max(float(np.linalg.norm(solve_triangular(form.L, row, lower=True)))
                for row in sensor.Cv)
     L = form.L * (size or 1.0)
+    steep = [] if np.isfinite(form.bound) else _steep_readings(sensor, bounds)
+    if steep:
+        reason += f'; {steep}'
     return Certificate(status, float(form.rate), float(form.bound * (1 + 1e-9)), L @ L.T, region,
                        lipschitz(sensor, bounds), reason)
+
+
+def _steep_readings(sensor: VirtualSensor, bounds: Bounds) -> str:
+    """Say which terms of readings alone are so steep that small errors have no small effect."""
+    steep = [sensor.terms[i].short for i in sensor.active for own, row, (low, high) in zip(
+        sensor.Gz[i], sensor.Gy[i], bounds[i])
+        if row.any() and not own.any() and max(-low, high) > INFINITE_SLOPE]
+    return f'{_listed(steep)} is taken of readings, and has a slope without bound' if steep else ''
 
 
 def _none(sensor: VirtualSensor, bounds: Bounds, reason: str, left: str = '') -> Certificate:
