@@ -31,6 +31,18 @@ sensors:
   gauge: {measures: 100*soc, noise: 0.1}
 """
 
+RELAXING = """
+name: relaxing_battery
+time: continuous
+states: {ocv: {unit: V, range: [3.2, 4], initial: 3.9, process_noise: 1e-5}, u1: {unit: V}}
+inputs: {current: {unit: A, range: [-20, 20], operating: 5}}
+dynamics: {ocv: -current/3600/(2*(ocv - 3)), u1: 0.01*current/5 - u1/5}
+sensors:
+  voltage: {measures: ocv - u1 - 0.01*current, unit: V, noise: 0.001}
+  gauge: {measures: 100*(ocv - 3)**2, noise: 0.1}
+operating_point: {ocv: 3.8, u1: 0.05}
+"""
+
 RATE = 50.0
 
 
@@ -101,7 +113,7 @@ def test_deviations_are_as_steep_as_the_curve(tmp_path):
 
 @pytest.mark.parametrize(('measures', 'needle'), [
     ('(soc - 0.5)**2', 'cannot be inverted: it does not rise, or fall, all over'),
-    ('log(soc) + aux', 'cannot be inverted: aux is added to a curve of soc'),
+    ('log(soc) + aux', 'cannot be inverted: aux is added to a curve of soc, and is not known'),
     ('log(soc)*current', 'no curve of one linear combination'),
     ('1/(soc - 0.5)', 'cannot be inverted'),
 ])
@@ -176,3 +188,23 @@ def test_what_wraps_has_no_curve_but_an_offset(tmp_path):
     found = design(loaded(tmp_path, BATTERY))
     with pytest.raises(ValueError, match='voltage: shows a curve, and wraps; write it without'):
         Bank(replace(found, wrap=({'voltage': 6.28},)), RATE)
+
+
+def test_a_curve_beside_a_second_state_becomes_a_state_itself(tmp_path):
+    """Of soc' = -I/3600 with 3 + sqrt(soc) - u1 - 0.01 I to be seen, as the docs say to write."""
+    found = design(loaded(tmp_path, RELAXING), [('gauge',)])
+    bank = Bank(found, RATE)
+    soc, u1, worst = 0.81, 0.0, 0.0
+    for k in range(int(60 * RATE)):
+        stamp, current = round(k / RATE * 1e9), 15.0 if k > 10 * RATE else 2.0
+        for name, value in (('current', current), ('gauge', 100 * soc),
+                            ('voltage', 3 + np.sqrt(soc) - u1 - 0.01 * current)):
+            bank.take(name, stamp, value)
+        bank.advance(stamp)
+        if k == int(30 * RATE):
+            bank.distrust(['gauge'])
+        if k > 40 * RATE:
+            worst = max(worst, abs(bank.estimate(('gauge',), 'gauge') - 100 * soc))
+        soc -= current / 3600 / RATE
+        u1 = 0.01 * current + (u1 - 0.01 * current) * np.exp(-0.2 / RATE)
+    assert soc < 0.65 and worst < 0.1

@@ -49,6 +49,7 @@ class Entries:
         self.content = self.mapping(content, '', keys)
         self.parameters: dict[str, float] = {}
         self.arrays: dict[str, list[Any]] = {}
+        self.tables: dict[str, tuple[str, tuple[Node, ...]]] = {}  # by name: kind, points
         self.definitions: dict[str, Node] = {}  # without names of others
         self.written: dict[str, Node] = {}  # those whose names give way to what they are
         self.extents: dict[str, tuple[int, int]] = {}  # of definitions: parts, and how deep
@@ -102,8 +103,8 @@ class Entries:
 
     def by_name(self, value: Any, key: str, variables: Iterable[str]) -> Node:
         """Read an expression in which definitions that are nonlinear addends keep their names."""
-        node = parse(value, self.path, key,
-                     known=(*variables, *self.parameters, *self.definitions))
+        node = parse(value, self.path, key, (*variables, *self.parameters, *self.definitions),
+                     self.tables)
         self.extent(node, key)
         return fold(substitute(substitute(node, self.parameters), self.written), self.path, key)
 
@@ -122,7 +123,7 @@ class Entries:
 
     def raw(self, value: Any) -> Node:
         """Return an expression that was read already with all its names."""
-        return parse(value, self.path)
+        return parse(value, self.path, tables=self.tables)
 
     def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
         """Begin to check units; return where it is said what is amiss, or why nothing is."""
@@ -167,7 +168,7 @@ class Entries:
         for name, entry in section.items():
             place = f'definitions.{name}'
             text = self.required(entry, 'value', place, 'write what it is')
-            for used in names(parse(text, self.path, place)):
+            for used in names(parse(text, self.path, place, tables=self.tables)):
                 if used in section and used not in self.definitions:
                     raise self.fail(place, f'{used} is not known yet', 'a definition may use '
                                     'earlier ones only: bring them into order, without a circle')
@@ -192,7 +193,21 @@ class Entries:
                 raise self.fail(f'{place}.interpolation', 'stands there without a table',
                                 'give table: [[x, y], ..]')
             return node
-        rows, key = entry['table'], f'{place}.table'
+        kind, points = self.points(entry, place, 'table')
+        return table_node(kind, node, *points, where=self.path, key=f'{place}.table')
+
+    def read_tables(self) -> None:
+        """Read the tables that expressions may call by name."""
+        for name, entry in self.section('tables', ('points', 'interpolation'), 'points').items():
+            place = f'tables.{name}'
+            self.required(entry, 'points', place, 'write [[x, y], [x, y]]')
+            kind, points = self.points(entry, place, 'points')
+            table_node(kind, Name('x'), *points, where=self.path, key=place)
+            self.tables[name] = kind, tuple(points)
+
+    def points(self, entry: Mapping[str, Any], place: str, of: str) -> tuple[str, list[Number]]:
+        """Read the kind of a lookup table, and x1, y1, x2, y2, ..: a list, or an array's name."""
+        rows, key = entry[of], f'{place}.{of}'
         rows = self.arrays.get(rows, rows) if isinstance(rows, str) else rows
         if not isinstance(rows, list) or not all(isinstance(r, list) and len(r) == 2
                                                  for r in rows):
@@ -201,8 +216,8 @@ class Entries:
         if not isinstance(shape, str) or shape not in _SHAPES:
             raise self.fail(f'{place}.interpolation', f'{shown(shape)} is not known',
                             f'write {" or ".join(_SHAPES)}')
-        points = [Number(self.number(v, f'{key}[{i}]')) for i, row in enumerate(rows) for v in row]
-        return table_node(_SHAPES[shape], node, *points, where=self.path, key=key)
+        return _SHAPES[shape], [Number(self.number(v, f'{key}[{i}]'))
+                                for i, row in enumerate(rows) for v in row]
 
     def linear(self, value: Any, key: str, states: Sequence[str]) -> np.ndarray:
         """Read a linear expression as one row over the states."""

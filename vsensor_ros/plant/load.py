@@ -2,13 +2,13 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters,
-definitions (value, unit, table, interpolation), states (unit, initial, process_noise, range,
-slow), inputs (unit, operating, range, delay), disturbances (unit, range), sensors (measures, unit,
-noise, tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
-right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with
-nonlinearities (function over w1.., of which combinations of states). Every number may be an
-expression of the parameters. What is wrong gives one BadInput line that names the file, the place
-and the mend.
+tables (points, interpolation), definitions (value, unit, table, interpolation), states (unit,
+initial, process_noise, range, slow), inputs (unit, operating, range, delay), disturbances (unit,
+range), sensors (measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table,
+interpolation), operating_point, and the right-hand side: dynamics, one equation a state, or
+matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
+states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
+that names the file, the place and the mend.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from vsensor_ros.plant.split import (
 )
 from vsensor_ros.plant.units import check_rates, converted
 
-_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'definitions', 'states',
-        'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
+_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
+        'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
         'operating_point')
 
 
@@ -82,9 +82,10 @@ def _plant(file: Entries) -> Plant:
     check_distinct(file.path, {'states': tuple(states), 'inputs': tuple(inputs),
                                'disturbances': tuple(disturbances),
                                'parameters': tuple(parameters),
-                               'definitions': tuple(file.mapping(
-                                   file.content.get('definitions'), 'definitions'))})
+                               **{key: tuple(file.mapping(file.content.get(key), key))
+                                  for key in ('tables', 'definitions')}})
     file.read_parameters(parameters)
+    file.read_tables()
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
         'definitions', ('value', 'unit', *TABLE), 'value'))
     file.read_definitions((*states, *inputs, *disturbances))

@@ -23,6 +23,7 @@ from vsensor_ros.functions.expression import (
     Number,
     substitute,
     to_text,
+    to_words,
 )
 from vsensor_ros.plant.plain_name import affine_node
 from vsensor_ros.plant.split import addends, lifted
@@ -71,8 +72,9 @@ def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], range
     if left.any():
         name = np.array(names)[~command][left][0]
         raise BadInput(where, key, f'{shown(text)} cannot be inverted: {name} is added to a '
-                       f'curve of {to_text(affine_node(w, names))}',
-                       'only commands, or the same sum, may be')
+                       f'curve of {to_words(affine_node(w, names))}, and is not known when a '
+                       'reading comes in', 'make what the curve shows a state in place of '
+                       f'{to_words(affine_node(w, names))}, or write a straight line for it')
     beside[~command] = 0.0
     curve = Apply('+', (curve, Apply('*', (Number(share), Name('w1'))))) if share else curve
     low, high = _span(w, ranges)
