@@ -25,7 +25,7 @@ from vsensor_ros.observers import (
     VirtualSensor,
 )
 from vsensor_ros.report import page as report_module, report_simulation
-from vsensor_ros.report.page import page, write_report
+from vsensor_ros.report.page import _from_wrong_start, page, write_report
 
 pytest.importorskip('matplotlib')
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -237,7 +237,7 @@ def test_hostile_texts_are_only_texts(text, plain, monkeypatch):
     assert f'Virtual sensors of {text}' in shown.text
     for needle in (f'reason {text}', f'In doubt: doubt {text}', f'Instead: or {text}'):
         assert needle in shown.sections['e1']
-    assert f'only while 0 <= {text} <= 1: {text}' in shown.sections['e2']
+    assert f'only while 0 <= {text} <= 1: {text}' in shown.sections['e2'].replace('\xa0', ' ')
     assert f'BUT NOT PROVED {text}' in shown.sections['e2']
     pictures = re.findall(r'<svg.*?</svg>', made, re.DOTALL)
     assert len(pictures) == 1
@@ -293,6 +293,38 @@ def test_what_there_is_to_see(monkeypatch):
     monkeypatch.setattr(report_simulation, 'from_wrong_start', lambda *_: run)
     assert ('the error goes from 1 to 0.5 in 2 s, while the truth runs away to 1.23e+04.'
             in page(growing, design(growing)))
+
+
+def test_an_estimate_that_starts_right_and_then_errs_is_no_runaway():
+    """At 134 degC with an error that rises from nothing to 2, and is gone at the end."""
+    time, truth = np.array([0.0, 1.0, 2.0]), np.array([130.0, 134.0, 134.0])
+    run = report_simulation.SimulatedRun(
+        time, truth, truth - [1e-13, 2.0, 1e-6], np.zeros((3, 0)), truth)
+    assert _from_wrong_start(run, 'degC') == (
+        'From a wrong start the error rises to 2 degC and is 1e-06 degC after 2 s.')
+    stays = replace(run, estimate=truth - [1e-13, 2.0, 2.0])
+    assert 'it does not find back' in _from_wrong_start(stays, 'degC')
+
+
+def test_what_an_engineer_would_mind_and_long_terms_stand_in_the_report(
+        tmp_path, without_pictures):
+    path = tmp_path / 'plant.yaml'
+    path.write_text("""
+name: minded
+time: continuous
+parameters: {energy: 8.5, coolant: 2}
+states: {slow: {range: [0, 1], process_noise: 20}, fast: {}}
+inputs: {heat: {}}
+dynamics:
+  slow: heat - slow
+  fast: slow - fast - 0.2*sin(energy*fast/(coolant*coolant + 1))*sin(slow + coolant)
+sensors: {a: {measures: slow, noise: 0.1}, b: {measures: fast, noise: 3}}
+""")
+    plant = load_plant(path)
+    shown = Page(page(plant, design(plant), advice=('a: it is of no <use>',)))
+    assert 'Mind' in shown.text and 'a: it is of no <use>' in shown.text
+    assert 'term 1 (of slow, fast)' in shown.text
+    assert shown.text.count('sin(energy*fast/(coolant*coolant + 1))*sin(slow + coolant)') == 1
 
 
 def test_wanted_functionals_are_shown_too():

@@ -227,7 +227,7 @@ def table_node(name: str, of: Node, *points: Node, where: object, key: str) -> N
         else wrong_points(numbers)
     if wrong:
         raise BadInput(where, key, f'the table {wrong}', 'give [x, y] by rising x')
-    return Apply(name, (of, *points))
+    return Apply(name, (of, *points), 'table')  # its points are too many for words
 
 
 def _word(tree: ast.AST) -> str:

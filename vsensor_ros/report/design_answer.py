@@ -83,8 +83,9 @@ def _places(places: Sequence[Location], plant: Plant) -> list[str]:
 
 
 def _hanging(head: str, text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=f'    {head:{width}}',
-                         subsequent_indent=' ' * (4 + width), break_on_hyphens=False)
+    lines = textwrap.wrap(text, WIDTH, initial_indent=f'    {head:{width}}',
+                          subsequent_indent=' ' * (4 + width), break_on_hyphens=False)
+    return [line.replace(design_text.UNBROKEN, ' ') for line in lines]
 
 
 def _refused(entry: Refusal) -> list[str]:

@@ -25,6 +25,7 @@ NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 DEAD = 20.0  # times the sample time: a faster decay than by exp(-20) a step is none
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
+UNBROKEN = '\xa0'  # a space at which no line ends
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
 VERDICTS = ('yes', 'bounded', 'temporary', 'no')
 
@@ -239,9 +240,12 @@ def certificate(entry: VirtualSensor, units: Mapping[str, str]) -> list[str]:
 def _between(place: tuple[str, float, float], units: Mapping[str, str]) -> str:
     of, low, high = place
     unit = _unit(of, units)
-    if not np.isfinite(high):
-        return f'{of} >= {number(low, unit)}' if np.isfinite(low) else of
-    return (f'{number(low)} <= ' if np.isfinite(low) else '') + f'{of} <= {number(high, unit)}'
+    if np.isfinite(high):
+        least = f'{number(low)} <= ' if np.isfinite(low) else ''
+        of = f'{least}{of} <= {number(high, unit)}'
+    elif np.isfinite(low):
+        of = f'{of} >= {number(low, unit)}'
+    return of.replace(' ', UNBROKEN)
 
 
 def _unit(of: str, units: Mapping[str, str]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.designer.location import Location
-from vsensor_ros.functions.expression import to_text
+from vsensor_ros.functions.expression import to_words
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
@@ -29,6 +29,7 @@ MOST_PICTURES = 12
 GRID = 30  # sensors of a table of pairs
 MOST_PLACES = 40
 EIGENVALUES = 40
+RISES, STAYS, FAR = 1.5, 0.5, 1e3  # an error, from its start and of its most; of its truth
 PAGES = ('.html', '.htm')
 
 STYLE = """
@@ -172,7 +173,7 @@ def _plant(plant: Plant) -> str:
 
     measures = []
     for i, sensor in enumerate(plant.sensors):
-        text = to_text(measures_node(plant, i))
+        text = to_words(measures_node(plant, i))
         sigma = plant.noise[i]
         measures.append((f'<code>{escape(sensor)}</code>{_unit(plant, sensor)}',
                          f'<code>{escape(text)}</code>',
@@ -379,13 +380,15 @@ def _figure(plant: Plant, design: Design, entry: VirtualSensor, salt: str) -> st
 
 def _from_wrong_start(run: report_simulation.SimulatedRun, unit: str) -> str:
     first, last = np.abs(run.error[[0, -1]])
-    reach = float(np.abs(run.truth).max())
-    away = run.runs_away or reach > 1e3 * first
-    text = (f'From a wrong start the error goes from {design_text.number(first, unit)} to '
-            f'{design_text.number(last, unit)} in {design_text.number(run.time[-1], "s")}')
-    if away:
+    most, reach = float(np.nanmax(np.abs(run.error))), float(np.abs(run.truth).max())
+    moved = float(np.abs(run.truth - run.truth[0]).max())
+    goes = (f'goes from {design_text.number(first, unit)} to {design_text.number(last, unit)} in'
+            if most <= RISES * first else f'rises to {design_text.number(most, unit)} and is '
+            f'{design_text.number(last, unit)} after')
+    text = f'From a wrong start the error {goes} {design_text.number(run.time[-1], "s")}'
+    if run.runs_away or moved > FAR * max(most, abs(run.truth[0])):
         text += f', while the truth runs away to {design_text.number(reach, unit)}'
-    elif last > first:
+    elif last > STAYS * most:
         text += ': from there it does not find back, the start lies outside what is certified'
     return f'{text}.'
 
