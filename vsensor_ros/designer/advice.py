@@ -105,13 +105,16 @@ def _unbalanced(plant: Plant) -> Iterator[str]:
     """Find an operating point of terms at which the plant does not stay."""
     x, u = plant.operating_point, plant.operating_input
     bent = [i for i, g in enumerate(plant.G) if len(g)]
-    # a state on which nothing depends, such as a position, may move on
-    matters = np.any([np.abs(plant.G[i]).sum(axis=0) > 0 for i in bent], axis=0) if bent else \
-        np.zeros(len(x), dtype=bool)
-    own = np.eye(len(x)) * (plant.sample_time is not None)
-    matters |= np.any(plant.A - own != 0.0, axis=0)
-    if not bent or not matters.any():
+    if not bent:
         return
+    own = np.eye(len(x)) * (plant.sample_time is not None)
+    # what no term depends on, such as a position, may move on
+    acts = plant.A - own != 0.0
+    for g, column in zip(plant.G, plant.P.T):
+        acts |= np.outer(column != 0.0, g.any(axis=0))
+    matters = np.any([plant.G[i].any(axis=0) for i in bent], axis=0)
+    for _ in x:
+        matters = matters | acts[matters].any(axis=0)
 
     def left(u: np.ndarray) -> np.ndarray:
         rate = plant.rate_of_change(x, u)

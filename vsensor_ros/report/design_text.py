@@ -25,6 +25,8 @@ NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 DEAD = 20.0  # times the sample time: a faster decay than by exp(-20) a step is none
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
+UNITS_OF_TIME = ((1e3, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h'),
+                 (np.inf, 86400.0, 'days'))  # up to so many s, a unit of so many
 UNBROKEN = '\xa0'  # a space at which no line ends
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
 VERDICTS = ('yes', 'bounded', 'temporary', 'no')
@@ -32,7 +34,10 @@ VERDICTS = ('yes', 'bounded', 'temporary', 'no')
 
 def number(value: float, unit: str = '') -> str:
     """Return a figure of three digits with its unit."""
-    return f'{value:.3g} {unit}'.rstrip()
+    text = f'{value:.3g}'
+    if 1e3 <= abs(float(text)) < 1e6:  # 1460 reads better than 1.46e+03
+        text = f'{float(text):.0f}'
+    return f'{text} {unit}'.rstrip()
 
 
 def joined(fault_set: Iterable[str]) -> str:
@@ -148,7 +153,11 @@ def order(entry: Entry) -> str:
     if proof.least and entry.order == proof.upper:
         return f'{entry.order} (proved least)'
     if entry.order > proof.upper:
-        least += '; this one is quieter or faster'
+        ladder = entry.ladder if isinstance(entry, VirtualSensor) else ()
+        worse = entry.noise is not None and any(
+            rung.order == proof.upper and rung.noise < entry.noise.error for rung in ladder)
+        least += ('; this one is faster, or proved where that is not' if worse
+                  else '; this one is quieter or faster')
     return f'{entry.order} ({least})'
 
 
@@ -177,7 +186,12 @@ def decay(entry: Entry) -> str:
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
     said = rate(entry.decay, entry, '1/s')
-    return f'{said} (an error is down to 5 % in {number(settled, "s")})'
+    return f'{said} (an error is down to 5 % in {_time(settled)})'
+
+
+def _time(seconds: float) -> str:
+    size, unit = next((size, unit) for limit, size, unit in UNITS_OF_TIME if seconds < limit)
+    return number(seconds / size, unit)
 
 
 def rate(decay: float, entry: Entry, unit: str = '') -> str:

@@ -10,6 +10,7 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.report.design_text import number
 
 DECADES = 3  # of tolerances, where none is given
+GROWN, ROWS = 10.0, 7  # times what it is at the loss; of the table of its growth
 TELLING = 1.2  # times as long, from which on learning a slow offset is worth a word
 _UNITS = ((120.0, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h'),
           (np.inf, 86400.0, 'days'))  # up to so many s, a unit of so many
@@ -56,8 +57,11 @@ def learning(plant: Plant, entry: VirtualSensor, allowed: list[float], unit: str
 
 
 def growth(entry: VirtualSensor, unit: str) -> list[tuple[str, str]]:
-    """Return times after the loss, and the deviation then."""
-    times = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+    """Return times after the loss, up to where it has grown, and the deviation then."""
+    times = [step * 10.0**decade for decade in range(-1, 7) for step in (1.0, 3.0)]
+    grown = deviation_after(entry, times) > GROWN * deviation_after(entry, 0.0)
+    end = max(int(np.argmax(grown)) if grown.any() else len(times) - 1, ROWS - 1)
+    times = [0.0, *times[end + 1 - ROWS:end + 1]]
     return [(duration(t), number(d, unit)) for t, d in zip(times, deviation_after(entry, times))]
 
 
