@@ -16,12 +16,11 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.command.progress import shown_progress
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
-from vsensor_ros.designer.design import METHODS
+from vsensor_ros.designer.design import chosen_sets, METHODS
 from vsensor_ros.designer.location import locations
 from vsensor_ros.designer.processes import Processes
 from vsensor_ros.designer.unfinished import Unfinished
-from vsensor_ros.observers import Design
-from vsensor_ros.plant import load_plant
+from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.report.design_answer import answer, closing
 from vsensor_ros.report.page import check_target, write_report
 
@@ -60,15 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _design(options: argparse.Namespace, work: str | None) -> str:
     """Design, write all that is asked for, and return what is to be said."""
     plant = load_plant(options.plant)
-    asked = _fault_sets('--details', options.details)
+    details = _fault_sets('--details', options.details)
     sets = _fault_sets('--fault-set', options.fault_set)
+    asked = _asked(plant, chosen_sets(plant, sets, options.up_to, False), details)
     if work is not None and not options.resume:
         _remove(work)
     with shown_progress() as progress:
         with nullcontext() if options.jobs == 1 else Processes(options.jobs) as executor:
             result = design(plant, sets, progress=progress, executor=executor, work_file=work,
                             **_choices(options))
-        blocks = _asked(result, asked)
         result.save(options.output)
         if work is not None:
             _remove(work)
@@ -82,7 +81,7 @@ def _design(options: argparse.Namespace, work: str | None) -> str:
             written += f', the report to {path}'
     minded = advice(plant, result, lambda other, lost: design(
         other, [lost], **{**_choices(options), 'up_to': None}))
-    return f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}'
+    return f'{answer(result, asked, places, plant, minded)}\n{closing(result)}; {written}'
 
 
 def _is_special(path: str) -> bool:
@@ -192,18 +191,18 @@ def _fault_sets(option: str, texts: list[str] | None) -> list[list[str]] | None:
     return sets
 
 
-def _asked(result: Design, details: list[list[str]] | None) -> set[tuple[str, ...]]:
+def _asked(plant: Plant, sets: list[tuple[str, ...]],
+           details: list[list[str]] | None) -> set[tuple[str, ...]]:
     """Return the fault sets whose blocks are to be printed."""
     if details is None:
-        return set(result.fault_sets) if len(result.entries) <= MOST_BLOCKS else set()
+        return set(sets) if sum(map(len, sets)) <= MOST_BLOCKS else set()
     if ['all'] in details:
-        return set(result.fault_sets)
-    sets = {tuple(s for s in result.sensors if s in names) for names in details}
-    for names, chosen in zip(details, (set(n) for n in details)):
-        if not any(set(s) == chosen for s in result.fault_sets):
+        return set(sets)
+    for names in details:
+        if set(names) not in map(set, sets):
             raise BadInput('--details', '', f'{",".join(names)} is no fault set of this design',
                            "give one, or 'all'")
-    return sets
+    return {tuple(s for s in plant.sensors if s in names) for names in details}
 
 
 def _say(text: str) -> None:

@@ -87,7 +87,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
         raise BadInput('design', 'executor', f'{shown(executor)} is not an executor',
                        'give a concurrent.futures.Executor, such as Client.get_executor() of Dask')
     functionals = _functionals(plant, wanted)
-    sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
+    sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
     keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
     empty = Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
                    dict(plant.units), plant.sample_time, {}, wanted=tuple(functionals),
@@ -232,7 +232,7 @@ def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np
     return functionals
 
 
-def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to: int | None,
+def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to: int | None,
                 wanted: bool) -> list[tuple[str, ...]]:
     """Return the fault sets with their sensors in the plant's order, each set once."""
     mend = f'give a list of sets of names among {", ".join(plant.sensors)}'
