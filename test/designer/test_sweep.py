@@ -37,7 +37,7 @@ sensors:
   yb: {measures: b, unit: m, noise: 0.01}
   yc: {measures: exp(0.5*c), noise: 0.01}
 """
-ASKED = {'up_to': 3, 'wanted': {'both': [[0, 1.0, 0], [0, 0, 1]]}}
+ASKED = {'up_to': 3}
 
 
 @pytest.fixture(scope='module')
@@ -118,8 +118,7 @@ def dask_cluster():
 
 @pytest.mark.parametrize('executor', [
     pytest.param(lambda: ThreadPoolExecutor(3), id='threads'),
-    pytest.param(Backwards, id='backwards'),
-    pytest.param(dask_cluster, id='dask', marks=pytest.mark.slow)])
+    pytest.param(Backwards, id='backwards')])
 def test_any_executor_gives_the_same_design_file(chain, alone, tmp_path, executor):
     with executor() as given:
         result = design(chain, executor=given, **ASKED)
@@ -127,8 +126,10 @@ def test_any_executor_gives_the_same_design_file(chain, alone, tmp_path, executo
     assert text_of(result, tmp_path) == text_of(alone, tmp_path)
 
 
-def test_processes_give_the_same_design_file(chain, alone, tmp_path, processes):
-    result = design(chain, executor=processes, **ASKED)
+def test_processes_give_the_same_design_file(chain, tmp_path, processes):
+    asked = {'fault_sets': [(), ('yc',), ('ya', 'yc')], 'bounded': True, 'prefer': 'least',
+             'wanted': {'both': [[0, 1.0, 0], [0, 0, 1]]}}
+    result, alone = design(chain, executor=processes, **asked), design(chain, **asked)
     assert list(result.entries) == list(alone.entries)
     assert text_of(result, tmp_path) == text_of(alone, tmp_path)
     virtual = result['yc', 'yc']
@@ -197,28 +198,45 @@ def test_an_error_without_an_executor_does_the_same(chain, monkeypatch):
     assert isinstance(caught.value.__cause__, np.linalg.LinAlgError)
 
 
+DEADLY = (('yb', 'yc'), 'yb')
+
+
 class Deadly(Executor):
     """Lets the process die that is given some channel."""
 
-    def __init__(self, processes, deadly):
-        self._processes, self._deadly = processes, deadly
+    def __init__(self, processes):
+        self._processes = processes
 
     def submit(self, function, /, *given, **named):
-        if key_of(given) == self._deadly:
+        if key_of(given) == DEADLY:
             return self._processes.submit(signal.raise_signal, signal.SIGKILL)
         return self._processes.submit(function, *given, **named)
 
 
 def test_a_killed_worker_names_its_fault_set_and_loses_nothing_else(chain, alone, processes,
                                                                     tmp_path):
-    deadly = (('yb', 'yc'), 'yb')
     work = tmp_path / 'work'
     with pytest.raises(Unfinished, match='yb without yb, yc: BrokenProcessPool') as caught:
-        design(chain, executor=Deadly(processes, deadly), work_file=work, **ASKED)
-    assert set(caught.value.failed) == {deadly}
-    assert isinstance(caught.value.failed[deadly], BrokenExecutor)
+        design(chain, executor=Deadly(processes), work_file=work, **ASKED)
+    assert set(caught.value.failed) == {DEADLY}
+    assert isinstance(caught.value.failed[DEADLY], BrokenExecutor)
     result = design(chain, executor=processes, work_file=work, **ASKED)
     assert text_of(result, tmp_path) == text_of(alone, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_of_two_workers_does_the_same(chain, alone, tmp_path):
+    with dask_cluster() as executor:
+        assert text_of(design(chain, executor=executor, **ASKED), tmp_path) == text_of(
+            alone, tmp_path)
+        assert in_order(divmod, [(k, 3) for k in range(9)], executor) == [
+            divmod(k, 3) for k in range(9)]
+        work = tmp_path / 'work'
+        with pytest.raises(Unfinished, match='yb without yb, yc: KilledWorker') as caught:
+            design(chain, executor=Deadly(executor), work_file=work, **ASKED)
+        assert set(caught.value.failed) == {DEADLY}
+        result = design(chain, executor=executor, work_file=work, **ASKED)
+        assert text_of(result, tmp_path) == text_of(alone, tmp_path)
 
 
 @pytest.mark.parametrize('stopped_after', [1, 7])
