@@ -21,6 +21,7 @@ from benchmark import (
     isolation,
     jitter,
     memory,
+    sweeps,
     tracking,
 )
 from benchmark.load import KINDS, Load
@@ -36,7 +37,7 @@ TICKING = 6.0  # s, each round
 TICKING_ROUNDS = 2
 IDLE = 2, 20.0  # topics, Hz
 TICKS = 1000
-PARTS = ('replacer', 'bank', 'tracking', 'estimators', 'designer')
+PARTS = ('replacer', 'bank', 'tracking', 'estimators', 'designer', 'sweeps')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -96,6 +97,8 @@ def measure(load: Load, only: Collection[str], states: Sequence[int],
         rows += estimators.measure(progress)
     if 'designer' in only:
         rows += designer.measure(states, progress)
+    if 'sweeps' in only:
+        rows += sweeps.measure(progress=progress)
     return rows, details
 
 

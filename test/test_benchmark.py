@@ -26,6 +26,7 @@ from benchmark import (
     jitter,
     memory,
     rig as rigs,
+    sweeps,
     tracking,
 )
 from benchmark.__main__ import main, table
@@ -161,6 +162,15 @@ def test_design_times(monkeypatch):
     assert designer.exponent({10: 3.0, 100: 300.0}) == pytest.approx(2.0)
     for make in designer.KINDS.values():
         assert np.linalg.eigvals(make(30, 0).A).real.max() < 0.0
+
+
+@pytest.mark.slow
+def test_sweeps():
+    rows = sweeps.measure(3, rounds=1)
+    assert_numbers(rows)
+    assert [row.what for row in rows] == ['sent to one process, a task', 'two processes',
+                                          'the start of a process']
+    assert rows[0].group.startswith('sweep of 9 tasks')
 
 
 @pytest.mark.slow

@@ -21,6 +21,10 @@ class BadInput(ValueError):
         line = ' '.join((f'{place}; {_cut(mend, 400)}' if mend else place).split())
         super().__init__(''.join(c if c.isprintable() else '?' for c in line))
 
+    def __reduce__(self) -> tuple[type, tuple[str, ...]]:
+        """Let it come back from another process."""
+        return type(self), (self.where, self.key, self.problem, self.mend)
+
 
 def check_text(value: object, where: object, key: str) -> str:
     """Return the text; raise BadInput unless it can stand in a log line."""

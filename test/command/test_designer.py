@@ -1,17 +1,22 @@
 """The command designer: what it says, what it writes, and one line for what is wrong."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import combinations
 import os
 from pathlib import Path
+import re
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
 from vsensor_ros import design, load_plant
 from vsensor_ros.command.designer import main
+from vsensor_ros.designer.unfinished import Unfinished
 from vsensor_ros.observers import Certificate, Design, Limit, Refusal
 from vsensor_ros.report import design_text
 from vsensor_ros.report.design_answer import answer
@@ -175,7 +180,8 @@ def test_a_bad_plant_gives_one_line_and_leaves_the_old_design(tmp_path, capsys):
 
 @pytest.mark.parametrize('arguments', [
     [], ['x'], ['x', '-o'], ['x', 'y', '-o', 'z'], ['x', '-o', 'z', '--up-to', 'many'],
-    ['x', '-o', 'z', '--up-to', '2', '--fault-set', 'y1'], ['x', '-o', 'z', '--decay', 'fast']])
+    ['x', '-o', 'z', '--up-to', '2', '--fault-set', 'y1'], ['x', '-o', 'z', '--decay', 'fast'],
+    ['x', '-o', 'z', '--jobs', '0'], ['x', '-o', 'z', '--jobs', 'all']])
 def test_usage(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
@@ -291,7 +297,8 @@ def test_bounded_ones(tmp_path, capsys):
 def test_choices_reach_the_design(tmp_path, monkeypatch, designed):
     asked = []
 
-    def design(plant, fault_sets, *, progress, **choices):
+    def design(plant, fault_sets, *, progress, executor, work_file, **choices):
+        assert executor is None and work_file == str(tmp_path / 'x.work')
         asked.append((plant.name, fault_sets, choices))
         return designed(plant, [('y2',)])
     monkeypatch.setattr('vsensor_ros.command.designer.design', design)
@@ -344,21 +351,31 @@ sensors: {yb: {measures: b}, yc: {measures: c}}
     assert 'every state is measured already' in capsys.readouterr().out
 
 
-def test_progress_is_shown_on_a_terminal(tmp_path):
+@pytest.mark.parametrize('with_rich', [
+    False, pytest.param(True, marks=pytest.mark.skipif(find_spec('rich') is None,
+                                                       reason='rich is not installed'))])
+def test_progress_is_shown_on_a_terminal(tmp_path, with_rich):
     """What is none stays empty: test_a_stdout_that_is_full_closed_or_ascii."""
     ours, theirs = os.openpty()
+    run = '' if with_rich else "sys.modules['rich.console'] = None; "
+    run = f'import sys; {run}from vsensor_ros.command.designer import main; sys.exit(main())'
     try:
         done = subprocess.run(
-            [sys.executable, '-m', 'vsensor_ros.command.designer', str(SERVO), '-o',
-             str(tmp_path / 'x')], stderr=theirs, stdout=subprocess.DEVNULL, timeout=120,
-            env={**os.environ, 'PYTHONPATH': str(CONFIG.parent)})
+            [sys.executable, '-c', run, str(SERVO), '-o', str(tmp_path / 'x')],
+            stderr=theirs, stdout=subprocess.DEVNULL, timeout=120,
+            env={**os.environ, 'PYTHONPATH': str(CONFIG.parent), 'TERM': 'xterm'})
         assert done.returncode == 0
         shown = os.read(ours, 10000).decode()
     finally:
         os.close(ours)
         os.close(theirs)
-    assert '\r\x1b[K1/3 y2 without y2' in shown
-    assert shown.endswith('\r\x1b[K')  # nothing is left of it
+    if with_rich:
+        plain = re.sub(r'\x1b\[[0-9;?]*[a-zA-Z]', '', shown)
+        assert re.search('1/3 .* y2 without y2', plain)
+        shown = shown.removesuffix('\x1b[?25h')  # the cursor
+    else:
+        assert '\r\x1b[K1/3 y2 without y2' in shown
+    assert shown.endswith('\x1b[2K' if with_rich else '\r\x1b[K')  # nothing is left of it
 
 
 def test_ctrl_c_ends_in_one_line(tmp_path, capsys, monkeypatch):
@@ -367,6 +384,96 @@ def test_ctrl_c_ends_in_one_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('vsensor_ros.command.designer.design', stop)
     assert main([str(SERVO), '-o', str(tmp_path / 'x')]) == 130
     assert capsys.readouterr().err == 'designer: stopped\n' and not (tmp_path / 'x').exists()
+
+
+def test_what_is_kept_when_it_is_stopped_is_gone_on_from(tmp_path, capsys, monkeypatch):
+    path, work, asked = tmp_path / 'x', tmp_path / 'x.work', []
+
+    def stopping(plant, sets, *, progress, **given):
+        def stop(done, *_):
+            if done == 2:
+                raise KeyboardInterrupt
+        return design(plant, sets, progress=stop, **given)
+
+    def going_on(plant, sets, *, progress, **given):
+        asked.append(len(work.read_text().splitlines()) if work.exists() else 0)
+        return design(plant, sets, progress=progress, **given)
+    for options, kept in ((['--resume'], 3), ([], 0)):
+        monkeypatch.setattr('vsensor_ros.command.designer.design', stopping)
+        assert main([str(SERVO), '-o', str(path)]) == 130
+        assert capsys.readouterr().err == (
+            f'designer: stopped; what is designed is kept in {work}: --resume goes on from it\n')
+        assert not path.exists() and len(work.read_text().splitlines()) == 3
+        monkeypatch.setattr('vsensor_ros.command.designer.design', going_on)
+        assert main([str(SERVO), '-o', str(path), *options]) == 0
+        assert asked.pop() == kept and not work.exists()
+        path.unlink()
+    work.write_text('{}\n')
+    assert main([str(SERVO), '-o', str(path), '--resume']) == 2
+    wrong = capsys.readouterr().err
+    assert wrong.startswith(f'designer: {work}: work file: is no work file of the designer')
+    assert wrong.count('\n') == 1 and work.read_text() == '{}\n'
+
+
+def test_an_error_of_one_channel_is_said_last(tmp_path, capsys, monkeypatch):
+    def failing(plant, sets, **given):
+        try:
+            raise ZeroDivisionError('by zero')
+        except ZeroDivisionError as error:
+            raise Unfinished(design(plant, [('y3',)]), {(('y1',), 'y1'): error}, 2) from error
+    monkeypatch.setattr('vsensor_ros.command.designer.design', failing)
+    assert main([str(SERVO), '-o', str(tmp_path / 'x')]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == 'Traceback (most recent call last):'
+    assert lines[-1] == ('designer: y1 without y1: ZeroDivisionError: by zero; 1 of 2 channels '
+                         'failed, the others are designed')
+
+
+def processes_of_group(group):
+    """Return the command lines of a group's processes that have not ended."""
+    found = []
+    for folder in Path('/proc').glob('[0-9]*'):
+        try:
+            state, _, of = (folder / 'stat').read_text().rpartition(')')[2].split()[:3]
+            if int(of) == group and state != 'Z':
+                found.append((folder / 'cmdline').read_text())
+        except OSError:
+            continue  # has ended meanwhile
+    return found
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_processes_and_another_number_of_them_goes_on(tmp_path):
+    """As from a keyboard: all processes of the command get it."""
+    plant, path, work = tmp_path / 'plant.yaml', tmp_path / 'x', tmp_path / 'x.work'
+    states = [f'T{i}' for i in range(9)]
+    plant.write_text('\n'.join([
+        'name: many', 'time: continuous', 'states:', *(f'  {s}: {{unit: K}}' for s in states),
+        'dynamics:', *(f'  {s}: T{(i + 1) % 9} - {i + 2}*{s}' for i, s in enumerate(states)),
+        'sensors:', *(f'  m{i}: {{measures: {s}}}' for i, s in enumerate(states))]))
+    command = [sys.executable, CONFIG.parent / 'scripts' / 'designer', plant, '-o', path,
+               '--up-to', '2']
+    environment = {**os.environ, 'PYTHONPATH': str(CONFIG.parent)}
+    stopped = subprocess.Popen([*command, '--jobs', '2'], stderr=subprocess.PIPE, text=True,
+                               env=environment, start_new_session=True)
+    while not (work.exists() and work.read_text().count('\n') > 3):
+        assert stopped.poll() is None, stopped.stderr.read()
+        time.sleep(0.01)
+    os.killpg(stopped.pid, signal.SIGINT)
+    wrong = stopped.communicate(timeout=60)[1]
+    assert stopped.returncode == 130 and wrong == (
+        f'designer: stopped; what is designed is kept in {work}: --resume goes on from it\n')
+    deadline = time.monotonic() + 60.0
+    while alive := processes_of_group(stopped.pid):
+        assert time.monotonic() < deadline, alive
+        time.sleep(0.01)
+    kept = work.read_bytes()
+    assert not path.exists() and 3 < kept.count(b'\n') < 82
+    done = subprocess.run([*command, '--resume', '--jobs', '1'], env=environment, timeout=300,
+                          capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, '') and not work.exists()
+    design(load_plant(plant), up_to=2).save(tmp_path / 'y')
+    assert path.read_bytes() == (tmp_path / 'y').read_bytes()
 
 
 def test_a_long_term_is_written_out_once_and_what_forgets_in_steps_has_no_rate(tmp_path):

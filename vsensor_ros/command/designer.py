@@ -3,39 +3,74 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
+from contextlib import nullcontext
 import io
 import os
 import sys
+import traceback
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.command.progress import shown_progress
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
-from vsensor_ros.designer.design import METHODS
+from vsensor_ros.designer.design import chosen_sets, METHODS
 from vsensor_ros.designer.location import locations
-from vsensor_ros.observers import Design
-from vsensor_ros.plant import load_plant
+from vsensor_ros.designer.processes import Processes
+from vsensor_ros.designer.unfinished import Unfinished
+from vsensor_ros.plant import load_plant, Plant
 from vsensor_ros.report.design_answer import answer, closing
 from vsensor_ros.report.page import check_target, write_report
 
 MOST_BLOCKS = 10  # printed unasked
-
-Progress = Callable[[int, int, str], None]
+MOST_JOBS = 1000
+WORK = '.work'  # behind the name of the design file: what is designed so far
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, or 2 with one line on stderr when the input is bad."""
+    """
+    Run the command.
+
+    Return 0; 2 with one line on stderr when the input is bad; 1 when some channels met an error;
+    130 when it was stopped.
+    """
     options = _options(arguments)
-    progress = _progress()
+    work = f'{options.output}{WORK}'
     try:
         _check_files(options)
-        plant = load_plant(options.plant)
-        asked = _fault_sets('--details', options.details)
-        result = design(plant, _fault_sets('--fault-set', options.fault_set),
-                        progress=progress, **_choices(options))
-        blocks = _asked(result, asked)
+        said = _design(options, None if _is_special(options.output) else work)
+        _say(said)
+    except BadInput as error:
+        print(f'designer: {error}', file=sys.stderr)
+        return 2
+    except Unfinished as error:
+        if not isinstance(error.__cause__, BrokenExecutor):  # ours to mend
+            traceback.print_exception(error.__cause__)
+        print(f'designer: {error}{_kept(work)}', file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f'designer: stopped{_kept(work)}', file=sys.stderr)
+        return 130
+    return 0
+
+
+def _design(options: argparse.Namespace, work: str | None) -> str:
+    """Design, write all that is asked for, and return what is to be said."""
+    plant = load_plant(options.plant)
+    details = _fault_sets('--details', options.details)
+    sets = _fault_sets('--fault-set', options.fault_set)
+    asked = _asked(plant, chosen_sets(plant, sets, options.up_to, False), details)
+    if work is not None and not options.resume:
+        _remove(work)
+    with shown_progress() as progress:
+        with nullcontext() if options.jobs == 1 else Processes(options.jobs) as executor:
+            result = design(plant, sets, progress=progress, executor=executor, work_file=work,
+                            **_choices(options))
         result.save(options.output)
+        if work is not None:
+            _remove(work)
         if progress is not None and options.locate:
             progress(0, 1, 'places for one more sensor')
         places = (locations(plant, up_to=max(map(len, result.fault_sets)))
@@ -46,17 +81,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.report:
             path = write_report(options.report, plant, result, places, progress, minded)
             written += f', the report to {path}'
-        _clear(progress)
-        _say(f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}')
-    except BadInput as error:
-        _clear(progress)
-        print(f'designer: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        _clear(progress)
-        print('designer: stopped', file=sys.stderr)
-        return 130
-    return 0
+    return f'{answer(result, asked, places, plant, minded)}\n{closing(result)}; {written}'
+
+
+def _is_special(path: str) -> bool:
+    """Tell whether an output is there and no file: a pipe, a device, a folder."""
+    return os.path.exists(path) and not os.path.isfile(path)
+
+
+def _remove(work: str) -> None:
+    try:
+        if os.path.isfile(work):
+            os.remove(work)
+    except OSError as error:
+        raise BadInput(work, '', f'cannot be removed ({reason(error)})',
+                       'it holds what an earlier run has designed: remove it') from error
+
+
+def _kept(work: str) -> str:
+    """Say what a run has left to go on from."""
+    if not os.path.isfile(work):
+        return ''
+    return f'; what is designed is kept in {work}: --resume goes on from it'
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -86,6 +132,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
+    parser.add_argument('--jobs', metavar='N', type=_jobs, default=1,
+                        help='processes that share the work (default: %(default)s)')
+    parser.add_argument('--resume', action='store_true',
+                        help='go on from what a run that was stopped has kept in DESIGN.work')
     parser.add_argument('--report', metavar='PATH',
                         help='write a report, too: one HTML file, or a folder that will hold it')
     parser.add_argument('--locate', action='store_true',
@@ -94,6 +144,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help='print what was found for this fault set (with commas between), or '
                         f"'all'; needed where there are more than {MOST_BLOCKS}")
     return parser.parse_args(arguments)
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_JOBS:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number from 1 to {MOST_JOBS}')
+    return int(text)
 
 
 def _choices(options: argparse.Namespace) -> dict[str, Any]:
@@ -135,35 +191,18 @@ def _fault_sets(option: str, texts: list[str] | None) -> list[list[str]] | None:
     return sets
 
 
-def _asked(result: Design, details: list[list[str]] | None) -> set[tuple[str, ...]]:
+def _asked(plant: Plant, sets: list[tuple[str, ...]],
+           details: list[list[str]] | None) -> set[tuple[str, ...]]:
     """Return the fault sets whose blocks are to be printed."""
     if details is None:
-        return set(result.fault_sets) if len(result.entries) <= MOST_BLOCKS else set()
+        return set(sets) if sum(map(len, sets)) <= MOST_BLOCKS else set()
     if ['all'] in details:
-        return set(result.fault_sets)
-    sets = {tuple(s for s in result.sensors if s in names) for names in details}
-    for names, chosen in zip(details, (set(n) for n in details)):
-        if not any(set(s) == chosen for s in result.fault_sets):
+        return set(sets)
+    for names in details:
+        if set(names) not in map(set, sets):
             raise BadInput('--details', '', f'{",".join(names)} is no fault set of this design',
                            "give one, or 'all'")
-    return sets
-
-
-def _progress() -> Progress | None:
-    """Return what keeps one line on the terminal up to date; None where nobody watches."""
-    if sys.stderr is None or not sys.stderr.isatty():
-        return None
-
-    def show(done: int, total: int, text: str) -> None:
-        sys.stderr.write(f'\r\x1b[K{done}/{total} {text:.60}')
-        sys.stderr.flush()
-    return show
-
-
-def _clear(progress: Progress | None) -> None:
-    if progress is not None:
-        sys.stderr.write('\r\x1b[K')
-        sys.stderr.flush()
+    return {tuple(s for s in plant.sensors if s in names) for names in details}
 
 
 def _say(text: str) -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from concurrent.futures import Executor, Future
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
-import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgWarning
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.bounded import alternative, least_sensitive
+from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify
 from vsensor_ros.designer.exact import ExactVerdict, verdict
 from vsensor_ros.designer.existence import (
@@ -29,10 +30,13 @@ from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
 from vsensor_ros.designer.subsystem import subsystem
+from vsensor_ros.designer.sweep import as_made, begin, ended_with, Progress, swept
 from vsensor_ros.designer.temporary import temporary as for_a_time
 from vsensor_ros.designer.tracking import tracked
+from vsensor_ros.designer.unfinished import name_of, Unfinished
+from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Key, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -42,11 +46,22 @@ LARGEST = 1e100
 METHODS = ('jordan', 'identification', 'svd')
 
 
+class Choices(NamedTuple):
+    """What was chosen for all virtual sensors of a design, as `design` says."""
+
+    prefer: str
+    decay: float | None
+    bounded: bool
+    method: str | None
+    temporary: bool
+
+
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
            method: str | None = None, temporary: bool = True,
-           progress: Callable[[int, int, str], None] | None = None) -> Design:
+           progress: Progress | None = None,
+           executor: Executor | None = None, work_file: str | Path | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
 
@@ -61,31 +76,111 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``progress`` is told what is done, of how many, and what is next.
-    Raises BadInput for what is not a name of a sensor or a
-    choice. Source: method, section 3.
+    ``executor``: who does the work, with the same result (`designer/sweep.py`). ``work_file``:
+    answers are kept there as they come, and those that it holds are not sought again.
+    Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some channels
+    met an error or a worker that died. Source: method, section 3.
     """
+    choices = Choices(prefer, decay, bounded, method, temporary)
     _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary})
+    if not isinstance(executor, Executor | None):
+        raise BadInput('design', 'executor', f'{shown(executor)} is not an executor',
+                       'give a concurrent.futures.Executor, such as Client.get_executor() of Dask')
     functionals = _functionals(plant, wanted)
-    sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
-    entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
-    tasks = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
-    for done, (fault_set, channel) in enumerate(tasks):
-        if progress is not None:
-            progress(done, len(tasks), f'{channel} without {", ".join(fault_set) or "a fault"}')
-        with _calmly():
-            part = subsystem(plant, fault_set, channel, functionals.get(channel))
-            rows = functionals[channel][:, part.states] if channel in functionals else None
-            problem = pose(part.plant, part.lost, channel, rows)
-            entries[fault_set, channel] = _lost_before(
-                entries, fault_set, problem) or part.entry_of_whole(_answer(
-                    problem, prefer, decay, bounded, method, temporary))
-    if progress is not None:
-        progress(len(tasks), len(tasks), 'done')
-    return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-                  dict(plant.units), plant.sample_time, entries, wanted=tuple(functionals),
-                  Cu=plant.Cu if plant.Cu.any() else None, tolerances=dict(plant.tolerances),
-                  ranges=plant.reading_ranges(), wrap=plant.angles(), curves=dict(plant.curves),
-                  delays=plant.delays())
+    sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
+    keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
+    empty = Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
+                   dict(plant.units), plant.sample_time, {}, wanted=tuple(functionals),
+                   Cu=plant.Cu if plant.Cu.any() else None, tolerances=dict(plant.tolerances),
+                   ranges=plant.reading_ranges(), wrap=plant.angles(), curves=dict(plant.curves),
+                   delays=plant.delays())
+    own = None if executor is None else fingerprint(plant)
+
+    def question(key: Key, lost: Refusal | None) -> tuple[Any, ...]:
+        return _ask, own, plant, choices, key, functionals.get(key[1]), lost
+
+    work = None if work_file is None else WorkFile(
+        work_file, plant, {**choices._asdict(), 'wanted': functionals}, empty)
+    # entered for each task it would cost milliseconds
+    with calmly() if executor is None else nullcontext():
+        found, failed = _answers(keys, question, executor, work, progress)
+    result = replace(empty, entries={key: found[key] for key in keys if key in found})
+    if failed:
+        raise Unfinished(result, failed, len(keys)) from next(iter(failed.values()))
+    return result
+
+
+def _answers(keys: Sequence[Key], question: Callable[[Key, Refusal | None], tuple[Any, ...]],
+             executor: Executor | None, work: WorkFile | None, progress: Progress | None,
+             ) -> tuple[dict[Key, Entry | Refusal], dict[Key, BaseException]]:
+    """Return what is found for fault sets and channels, and the errors where there were any."""
+    found: dict[Key, Entry | Refusal] = {}
+    failed: dict[Key, BaseException] = {}
+    fewer = _fewer_faults(keys)
+
+    def lost_before(i: int) -> Refusal | None:
+        """Return the refusal with fewer faults, if any: less knowledge mends nothing."""
+        entries = (found.get(keys[j]) for j in fewer[i])
+        return next((entry for entry in entries if isinstance(entry, Refusal)), None)
+
+    def kept(i: int) -> Entry | Refusal | None:
+        return work.find(keys[i], lost_before(i)) if work is not None else None
+
+    def start(i: int) -> Future[Any]:
+        known = kept(i)
+        return ended_with(known) if known is not None else begin(
+            executor, *question(keys[i], lost_before(i)))
+
+    with closing(swept(fewer, start, executor, progress, lambda i: name_of(keys[i]))) as tasks:
+        for i, future in tasks:
+            try:
+                found[keys[i]] = future.result() if executor is None else as_made(future.result())
+            except BadInput:
+                raise
+            except Exception as error:  # the others go on
+                failed[keys[i]] = error
+                continue
+            if work is not None and kept(i) is None:
+                work.add(found[keys[i]], lost_before(i))
+    return found, dict(sorted(failed.items(), key=lambda one: keys.index(one[0])))
+
+
+def _fewer_faults(keys: Sequence[Key]) -> list[list[int]]:
+    """Return for each key those before it that have lost the same channel with fewer faults."""
+    by_channel: dict[str, list[tuple[int, set[str]]]] = {}
+    fewer = []
+    for i, (fault_set, channel) in enumerate(keys):
+        before = by_channel.setdefault(channel, [])
+        own = set(fault_set)
+        fewer.append([j for j, other in before if other < own])
+        before.append((i, own))
+    return fewer
+
+
+_plants: dict[str, Plant] = {}  # of a process that works for others: what is known of one stays
+MOST_PLANTS = 8
+
+
+def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
+         rows: np.ndarray | None, lost: Refusal | None) -> VirtualSensor | Refusal:
+    """
+    Answer for one fault set and channel, wherever this runs.
+
+    ``fingerprint`` of the plant: None where it is the same object all along. ``rows`` (p, n) of a
+    wanted functional. ``lost``: the refusal that holds already with fewer faults.
+    """
+    if fingerprint is not None:
+        if fingerprint not in _plants and len(_plants) >= MOST_PLANTS:
+            _plants.clear()
+        plant = _plants.setdefault(fingerprint, plant)
+    fault_set, channel = key
+    with calmly():
+        part = subsystem(plant, fault_set, channel, rows)
+        problem = pose(part.plant, part.lost, channel,
+                       None if rows is None else rows[:, part.states])
+        if lost is not None:
+            return _lost_already(lost, fault_set, problem)
+        return part.entry_of_whole(_answer(problem, *choices))
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -137,7 +232,7 @@ def _functionals(plant: Plant, wanted: Mapping[str, Any] | None) -> dict[str, np
     return functionals
 
 
-def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to: int | None,
+def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to: int | None,
                 wanted: bool) -> list[tuple[str, ...]]:
     """Return the fault sets with their sensors in the plant's order, each set once."""
     mend = f'give a list of sets of names among {", ".join(plant.sensors)}'
@@ -171,39 +266,13 @@ def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     return list(dict.fromkeys(checked))
 
 
-def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | Refusal],
-                 fault_set: tuple[str, ...], problem: Problem) -> Refusal | None:
-    """Return the refusal that holds already with fewer faults: less knowledge mends nothing."""
-    for (fewer, of), entry in entries.items():
-        if of == problem.channel and isinstance(entry, Refusal) \
-                and set(fewer) < set(fault_set):
-            # this one was lost by itself: what it would follow from stands before it
-            return replace(
-                entry, fault_set=fault_set,
-                reason=say(Reason.of('already without', fault_set=fewer, reason=entry.reason)),
-                # not the alternative of fewer faults: it may read a sensor that has failed now
-                alternative=alternative(problem) if entry.alternative else '')
-    return None
-
-
-@contextmanager
-def _calmly() -> Iterator[None]:
-    """
-    Keep BLAS to one thread, and numbers beyond use from warning.
-
-    On many small matrices two threads are three times slower than one (without threadpoolctl the
-    environment can say so: OPENBLAS_NUM_THREADS=1). Candidates beyond use are told by the check
-    of their equations.
-    """
-    try:
-        from threadpoolctl import threadpool_limits
-        threads: AbstractContextManager[object] = threadpool_limits(1, user_api='blas')
-    except ImportError:
-        threads = nullcontext()
-    with threads, np.errstate(all='ignore'), warnings.catch_warnings():
-        warnings.simplefilter('ignore', LinAlgWarning)
-        warnings.simplefilter('ignore', RuntimeWarning)
-        yield
+def _lost_already(lost: Refusal, fault_set: tuple[str, ...], problem: Problem) -> Refusal:
+    """Say of a larger fault set what was said of one with fewer faults."""
+    return replace(
+        lost, fault_set=fault_set,
+        reason=say(Reason.of('already without', fault_set=lost.fault_set, reason=lost.reason)),
+        # not the alternative of fewer faults: it may read a sensor that has failed now
+        alternative=alternative(problem) if lost.alternative else '')
 
 
 def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,

@@ -39,6 +39,10 @@ class Curve:
     high: float = math.inf
     beside: Mapping[str, float] = field(default_factory=dict)
 
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """Go to another process as data; what was compiled of it is compiled there anew."""
+        return Curve, (self.offset, self.text, self.low, self.high, dict(self.beside))
+
     def check(self, where: object, key: str) -> None:
         """Raise BadInput, one line, when it cannot be inverted."""
         if not self.text:

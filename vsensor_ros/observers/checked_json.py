@@ -28,6 +28,12 @@ def or_null(value: float, infinite: float = INF) -> float | None:
 
 def read_json(path: str | Path) -> Any:
     """Read a file as JSON without constants, repeated keys or other surprises; raises BadInput."""
+    return parse_json(read_text(path, 'design file', 'name a file that the designer wrote',
+                                LARGEST_FILE), path)
+
+
+def parse_json(text: str, path: str | Path, first: int = 1) -> Any:
+    """Parse a part of a file as `read_json` does; first: the number of its first line."""
     def no_constant(name: str) -> NoReturn:
         raise BadInput(path, name, 'is not a finite number', MEND)
 
@@ -39,11 +45,10 @@ def read_json(path: str | Path) -> Any:
             raise BadInput(path, twice, 'stands there twice', MEND)
         return record
 
-    text = read_text(path, 'design file', 'name a file that the designer wrote', LARGEST_FILE)
     try:
         return json.loads(text, parse_constant=no_constant, object_pairs_hook=no_repeat)
     except json.JSONDecodeError as error:
-        raise BadInput(path, f'line {error.lineno}', f'is not JSON ({error.msg})',
+        raise BadInput(path, f'line {error.lineno + first - 1}', f'is not JSON ({error.msg})',
                        MEND) from error
     except (RecursionError, ValueError) as error:  # ValueError: an integer of 5000 digits
         if isinstance(error, BadInput):

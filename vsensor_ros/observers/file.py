@@ -88,11 +88,12 @@ def _to_record(design: Contents) -> dict[str, Any]:
             **({'delays': dict(design.delays)} if design.delays else {}),
         },
         'wanted': list(design.wanted),
-        'entries': [_entry_record(entry) for entry in design.each_once()],
+        'entries': [entry_record(entry) for entry in design.each_once()],
     }
 
 
-def _entry_record(entry: Entry | Refusal) -> dict[str, Any]:
+def entry_record(entry: Entry | Refusal) -> dict[str, Any]:
+    """Write an entry as it stands in the design file."""
     if isinstance(entry, Refusal):
         return asdict(entry)
     return {'kind': entry.kind, 'channel': entry.channel, 'fault_set': list(entry.fault_set),
@@ -131,18 +132,11 @@ def _from_record(record: Any, path: str | Path) -> Contents:
                       _read_curves(plant, sensors, inputs),
                       _read_delays(plant, (*sensors, *inputs)))
     for reader in top.objects('entries'):
-        channel, fault_set = _read_key(reader, design)
-        entry: Entry | Refusal
-        outputs: tuple[str, ...]
-        if 'reason' in reader.record:
-            entry, outputs = _read_refusal(reader, channel, fault_set), (channel,)
-        else:
-            entry = _read_virtual_sensor(reader, channel, fault_set, design, version)
-            outputs = entry.outputs
-        for output in outputs:
-            if (fault_set, output) in entries:
+        entry = read_entry(reader, design, version)
+        for output in (entry.channel,) if isinstance(entry, Refusal) else entry.outputs:
+            if (entry.fault_set, output) in entries:
                 raise reader.fail('channel', f'{output} stands there twice for this fault set')
-            entries[fault_set, output] = entry
+            entries[entry.fault_set, output] = entry
     return design
 
 
@@ -214,6 +208,14 @@ def _by_name(plant: CheckedObject, key: str, names: tuple[str, ...]) -> CheckedO
     reader = plant.object(key)
     reader.only(names)
     return reader
+
+
+def read_entry(reader: CheckedObject, design: Contents, version: int) -> Entry | Refusal:
+    """Read an entry of a design file of some version; the plant is that of the design."""
+    channel, fault_set = _read_key(reader, design)
+    if 'reason' in reader.record:
+        return _read_refusal(reader, channel, fault_set)
+    return _read_virtual_sensor(reader, channel, fault_set, design, version)
 
 
 def _read_key(reader: CheckedObject, design: Contents) -> tuple[str, tuple[str, ...]]:
