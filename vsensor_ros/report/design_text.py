@@ -135,11 +135,14 @@ def order(entry: Entry) -> str:
     proof = entry.proof
     if proof is None:
         return f'{entry.order} (nothing proved of the least)'
-    least = (f'the least is {proof.upper}, proved' if proof.least
+    how = 'modulo two primes' if proof.modulo else 'proved'
+    least = (f'the least is {proof.upper}, {how}' if proof.least
              else f'the least is between {proof.lower} and {proof.upper}')
     if proof.least and entry.order == proof.upper:
-        return f'{entry.order} (proved least)'
-    if entry.order > proof.upper:
+        return f'{entry.order} ({"least, modulo two primes" if proof.modulo else "proved least"})'
+    if isinstance(entry, VirtualSensor) and proof.upper not in {r.order for r in entry.ladder}:
+        least += ', but of no use: its gains are beyond double precision'
+    elif entry.order > proof.upper:
         least += '; this one is quieter or faster'
     return f'{entry.order} ({least})'
 
