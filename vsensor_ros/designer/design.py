@@ -22,9 +22,11 @@ from vsensor_ros.designer.existence import (
     avoidable_signs,
     disturbed,
     examine,
+    Existence,
     measured_signs,
 )
 from vsensor_ros.designer.order_noise import doubtful, search_orders
+from vsensor_ros.designer.order_walk import LARGE
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
@@ -302,6 +304,8 @@ def _answer(problem: Problem, prefer: str, decay: float | None, bounded: bool,
                        '' if bounded else alternative(problem))
     if exact and exact.forced != existence.forced:
         exact = None
+    if exact is None and existence.quotient is not None and existence.quotient.order > LARGE:
+        exact = _as_given(problem, existence)
     signs = avoidable_signs(problem)
     found = (search_orders(problem, existence, signs, prefer, decay, exact) if method is None
              else papers.least_order(problem, signs, 'jordan' if method == 'jordan'
@@ -327,9 +331,28 @@ def certified(problem: Problem, entry: VirtualSensor | Refusal) -> VirtualSensor
     return entry
 
 
-def referee(problem: Problem) -> ExactVerdict | None:
-    """Ask exact arithmetic about a problem; None when its numbers are no typed decimals."""
+def _as_given(problem: Problem, existence: Existence) -> ExactVerdict | None:
+    """
+    Ask exact arithmetic about the orders in a large plant, each number taken to its last digit.
+
+    Staircases of a hundred steps leave no singular value that could be told from rounding. What
+    was computed keeps its relations up to rounding only, so existence is decided as ever, and
+    where exact arithmetic sees another quotient it is not heard.
+    """
+    exact = referee(problem, as_given=True)
+    known = existence.quotient
+    agreed = exact is not None and known is not None and all(exact.solvable) and (
+        exact.forced, exact.largest) == (existence.forced, known.order)
+    return exact if agreed else None
+
+
+def referee(problem: Problem, as_given: bool = False) -> ExactVerdict | None:
+    """
+    Ask exact arithmetic about a problem; None when its numbers are no typed decimals.
+
+    ``as_given``: they need not be, see ``verdict``.
+    """
     plant = problem.plant
     rows = [plant.sensors.index(s) for s in problem.healthy]
     return verdict(plant.A, plant.C[rows], problem.wanted[0], plant.D, Cd0=plant.Cd[rows],
-                   Vd=problem.wanted[2], P=plant.P, G=plant.G)
+                   Vd=problem.wanted[2], P=plant.P, G=plant.G, as_given=as_given)

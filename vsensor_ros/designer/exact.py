@@ -335,14 +335,16 @@ class ExactVerdict:
 def verdict(A: np.ndarray, C0: np.ndarray, V: np.ndarray, D: np.ndarray, *,
             Cd0: np.ndarray | None = None, Vd: np.ndarray | None = None,
             P: np.ndarray | None = None, G: Sequence[np.ndarray] = (),
-            forced: frozenset[int] = frozenset(), k_max: int | None = None) -> ExactVerdict | None:
+            forced: frozenset[int] = frozenset(), k_max: int | None = None,
+            as_given: bool = False) -> ExactVerdict | None:
     """
     Decide existence, fixed modes and orders exactly; None when the data do not allow it.
 
     Arguments as of ``residues``; ``forced``: terms to decouple from in any case. The data do not
-    allow it when they are not short decimals. Two primes must agree.
+    allow it when they are not short decimals, unless each number is to be taken ``as_given``, to
+    its last digit. Two primes must agree.
     """
-    if not short_decimals(*(M for M in (A, C0, V, D, Cd0, Vd, P, *G) if M is not None)):
+    if not as_given and not short_decimals(*(M for M in (A, C0, V, D, Cd0, Vd, P, *G) if M is not None)):
         return None
     said: list[ExactVerdict] = []
     for prime in PRIMES:

@@ -232,24 +232,34 @@ def _noise_form(known: Quotient, noise: NoiseModel,
     """Return gram (u, u), linear (u,), constant: variance = g gram g' + 2 linear g + constant."""
     B, D = noise.drives(known)
     k, u = len(form.N), len(form.g_)
-    square, offset = np.zeros((u, 0)), np.zeros(0)
-    if k:
-        observed = form.Cv.T @ form.Cv  # e is weighed by the Gramian of what v shows of it
-        try:
-            weight = (solve_continuous_lyapunov(form.N.T, -observed)
-                      if noise.sample_time is None
-                      else solve_discrete_lyapunov(form.N.T, observed))
-        except (np.linalg.LinAlgError, ValueError):
-            weight = np.full((k, k), np.nan)
-        if not np.isfinite(weight).all():
-            return np.full((u, u), np.nan), np.zeros(u), np.inf
-        values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # (k, k)
-        driven = np.zeros((u, k, B.shape[1]))
-        busy = form.W_.any(axis=2) | form.j_.any(axis=2)  # in modal form each gain has one mode
-        driven[busy] = form.W_[busy] @ B - form.j_[busy] @ D
-        square = (root @ driven).reshape(u, k * B.shape[1])
-        offset = (root @ form.W0 @ B).ravel()
-    square = np.hstack([square, (form.g_ @ known.R) * noise.reading])
-    offset = np.concatenate([offset, known.q[0] * noise.reading])
-    return square @ square.T, square @ offset, float(offset @ offset)
+    read = (form.g_ @ known.R) * noise.reading
+    direct = known.q[0] * noise.reading
+    gram, linear, constant = read @ read.T, read @ direct, float(direct @ direct)
+    if not k:
+        return gram, linear, constant
+    observed = form.Cv.T @ form.Cv  # e is weighed by the Gramian of what v shows of it
+    try:
+        weight = (solve_continuous_lyapunov(form.N.T, -observed)
+                  if noise.sample_time is None
+                  else solve_discrete_lyapunov(form.N.T, observed))
+    except (np.linalg.LinAlgError, ValueError):
+        weight = np.full((k, k), np.nan)
+    if not np.isfinite(weight).all():
+        return np.full((u, u), np.nan), np.zeros(u), np.inf
+    weight = 0.5 * (weight + weight.T)
+    gain, row = np.nonzero(form.W_.any(axis=2) | form.j_.any(axis=2))
+    if len(gain) <= 2 * u and not form.W0.any():  # modal: each gain moves one mode
+        driven = form.W_[gain, row] @ B - form.j_[gain, row] @ D
+        moved = (driven @ driven.T) * weight[np.ix_(row, row)]
+        moving, first = np.unique(gain, return_index=True)
+        gram[np.ix_(moving, moving)] += np.add.reduceat(np.add.reduceat(moved, first, 0), first, 1)
+        return gram, linear, constant
+    values, vectors = np.linalg.eigh(weight)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T  # (k, k)
+    driven = np.zeros((u, k, B.shape[1]))
+    driven[gain, row] = form.W_[gain, row] @ B - form.j_[gain, row] @ D
+    square = (root @ driven).reshape(u, k * B.shape[1])
+    offset = (root @ form.W0 @ B).ravel()
+    return (gram + square @ square.T, linear + square @ offset,
+            constant + float(offset @ offset))
+

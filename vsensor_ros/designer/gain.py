@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigvals, matrix_balance
+from scipy.linalg import eigvals, matrix_balance, schur, solve_triangular
 
 TOLERANCE = 1e-6  # relative, of a peak
 GRID = 40  # frequencies from which a peak is sought
+TRIANGULAR = 60  # states, beyond which N is made triangular before it is solved with
 
 
 def peak(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray,
@@ -67,11 +68,24 @@ def _gains(N: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, omega: np
            sample_time: float | None) -> np.ndarray:
     """Return |C (s - N)^-1 B + D| at frequencies omega [rad/s]."""
     s = 1j * omega if sample_time is None else np.exp(1j * omega * sample_time)
-    shifted = s[:, None, None] * np.eye(len(N)) - N
-    transfer = C @ _solved(shifted, np.broadcast_to(B, (len(s), *B.shape))) + D
+    if len(N) > TRIANGULAR:
+        T, Z = schur(N, output='complex')
+        transfer = C @ Z @ np.array([_solved_triangle(at * np.eye(len(T)) - T, Z.conj().T @ B)
+                                     for at in s]).reshape(len(s), *B.shape) + D
+    else:
+        shifted = s[:, None, None] * np.eye(len(N)) - N
+        transfer = C @ _solved(shifted, np.broadcast_to(B, (len(s), *B.shape))) + D
     if 1 in D.shape:
         return np.asarray(np.sqrt(np.sum(np.abs(transfer) ** 2, axis=(1, 2))))
     return np.asarray(np.linalg.norm(transfer, 2, axis=(1, 2)))
+
+
+def _solved_triangle(M: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Solve M X = R for an upper triangle M."""
+    try:
+        return np.asarray(solve_triangular(M, R, check_finite=False))
+    except np.linalg.LinAlgError:
+        return _solved(M, R)
 
 
 def _solved(M: np.ndarray, R: np.ndarray) -> np.ndarray:

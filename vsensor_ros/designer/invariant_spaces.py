@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 from scipy.optimize import minimize
 
-from vsensor_ros.designer.noise import Filter, NoiseModel
+from vsensor_ros.designer.noise import Filter, NoiseModel, riccati, riccati_in_steps
 from vsensor_ros.designer.observer import Candidate
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.subspaces import (
@@ -171,13 +171,15 @@ def _riccati(space: InvariantSpace, drive: np.ndarray, sample_time: float | None
         for shift in (*(decay * faster for faster in FASTER), 0.0) if k <= SMALL else (decay, 0.0):
             try:
                 if sample_time is None:
-                    X = solve_continuous_are((space.N + shift * np.eye(k)).T, space.Nc.T,
-                                             drive, meter)
+                    N = space.N + shift * np.eye(k)
+                    X = (solve_continuous_are(N.T, space.Nc.T, drive, meter) if k <= SMALL else
+                         riccati(N, space.Nc, drive, meter, np.zeros((k, t))))
                     yield -np.linalg.solve(meter, space.Nc @ X).T
                 else:
                     grow = np.exp(shift * sample_time)
                     N, Nc = grow * space.N, grow * space.Nc
-                    X = solve_discrete_are(N.T, Nc.T, drive, meter)
+                    X = (solve_discrete_are(N.T, Nc.T, drive, meter) if k <= SMALL else
+                         riccati_in_steps(N, Nc, drive, meter, np.zeros((k, t))))
                     yield -np.linalg.solve(Nc @ X @ Nc.T + meter, Nc @ X @ N.T).T
             except (np.linalg.LinAlgError, ValueError):  # a mode on the boundary: try slower
                 continue

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from vsensor_ros.designer.invariant_spaces import lower_bound
 from vsensor_ros.designer.noise import noise_model, usual_decay
 from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
+from vsensor_ros.designer.order_walk import by_strides, LARGE
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.sentences import say
@@ -88,8 +90,8 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     if len(problem.V) > 1:
         reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
-    proofs = _families_by_order(base, freedom)
-    of_grounds = [_families_by_order(g, None) for g in where]
+    proofs = _Listed(_families_by_order(base, freedom))
+    of_grounds = [_Listed(_families_by_order(g, None)) for g in where]
     met = list(reserve)
 
     def chosen(k: int) -> VirtualSensor:
@@ -97,29 +99,40 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
         if validity:
             rivals = met if prefer == 'quiet' else [c for c in met if c.order == k]
             order = _prove(problem, rungs, k, rivals, enough)
-        return _chosen(rungs, order, base, steps, doubts, decay)
+        return _chosen(rungs, order, base, steps, doubts, decay, freedom)
 
-    for k in range(max(g.known.order for g in where) + 1):
+    def look(k: int) -> bool:
+        """Put the quietest of order k on its rung, if there is one; whether it is good enough."""
         here = [c for c in reserve if c.order == k]
-        proof = next(proofs, None)
+        proof = proofs.at(k)
         if k == 0:
             here += static(where[0])
         for ground, of_ground in zip(where, of_grounds):
-            family = proof if ground.known is base.known else next(of_ground, None)
+            family = proof if ground.known is base.known else of_ground.at(k)
             if k and family is not None and family[0] is not None:
                 made = of_family(ground, family[0])
-                here, met = here + made, met + made
+                here, met[:] = here + made, met + made
         found = _quietest_built(problem, where, here, enough, 1.0 if decay else LIVELY)
         if found is None:
-            step = _excluded(k, base, proof, bound)
+            step = _excluded(k, base, proof, bound, exact is not None)
         else:
             rungs[k] = found
-            step = OrderStep(k, 'possible', say(Reason.of('found', method=found[1].method)),
+            step = OrderStep(k, 'possible', say(_how_found(problem, *found)),
                              len(proof[0].F) if proof and proof[0] else 0,
                              _numbers(proof[1] if proof else Gap()))
         steps.append(step)
-        doubts += doubtful(proof[1], f'order {k}', exact) if proof else []
-        if k in rungs and (prefer == 'least' or _good(rungs, k, reserve, enough)):
+        if not (exact and base.known.order > LARGE):  # there each singular value is in doubt
+            doubts.extend(doubtful(proof[1], f'order {k}', exact) if proof else [])
+        return k in rungs and (prefer == 'least' or _good(rungs, k, reserve, enough))
+
+    top = max(g.known.order for g in where)
+    for k in range(top + 1):
+        if base.known.order > LARGE and (proofs.at(k) or (None,))[0] is not None:
+            at = by_strides(look, k, max(k, min(top, MOST_MODES)))
+            if at is not None:
+                return chosen(at)
+            break
+        if look(k):
             return chosen(k)
         if len(rungs) >= MOST_RUNGS:
             break
@@ -179,6 +192,18 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
     return Candidate(found.Phi * problem.scale, found.N, found.J * problem.y0_size,
                      found.Cv / problem.v_size[:, None],
                      found.Q * problem.y0_size / problem.v_size[:, None])
+
+
+class _Listed:
+    """What an iterator yields, by its place, as far as it is asked for."""
+
+    def __init__(self, more: Iterator[tuple[Family | None, Gap]]) -> None:
+        self._more, self._found = more, list[tuple[Family | None, Gap]]()
+
+    def at(self, k: int) -> tuple[Family | None, Gap] | None:
+        """Return the k-th, None beyond the end."""
+        self._found += islice(self._more, max(0, k + 1 - len(self._found)))
+        return self._found[k] if k < len(self._found) else None
 
 
 def _families_by_order(ground: Ground, freedom: Sequence[int | None] | None,
@@ -259,7 +284,7 @@ def _first_order(known: Quotient) -> int:
 
 
 def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
-              bound: int) -> OrderStep:
+              bound: int, exact: bool) -> OrderStep:
     """Say why there is no virtual sensor of order k, or that this is open."""
     def step(verdict: str, why: Reason, freedom: int = 0) -> OrderStep:
         return OrderStep(k, verdict, say(why), freedom, _numbers(proof[1] if proof else Gap()))
@@ -273,6 +298,8 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
     family = proof[0]
     if family is None:
         return step('impossible', Reason.of('no polynomial'))
+    if family.free:
+        return step('open', Reason.of('no digits' if exact else 'any spectrum'), k)
     if k > MOST_MODES and len(family.F):
         return step('open', Reason.of('polynomial too large'), len(family.F))
     none = stable_members(family, base.noise.sample_time, base.decay)[1]
@@ -281,18 +308,28 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
     return step('impossible' if none.proved else 'open', none.why, len(family.F))
 
 
+def _how_found(problem: Problem, candidate: JudgedCandidate, sensor: VirtualSensor) -> Reason:
+    size = float(problem.v_size.max())
+    return Reason.of('found', method=sensor.method) if candidate.error <= size else Reason.of(
+        'found of no use', method=sensor.method, error=candidate.error, size=size)
+
+
 def _numbers(gap: Gap) -> tuple[float, float]:
     return gap.zero, gap.nonzero if np.isfinite(gap.nonzero) else 1.0
 
 
 def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
-            doubts: list[str], decay: float | None) -> VirtualSensor:
+            doubts: list[str], decay: float | None,
+            freedom: Sequence[int | None] | None) -> VirtualSensor:
     """Return rung k with the proof, the ladder and its noise against the floor."""
     candidate, sensor = rungs[k]
     if decay is not None and candidate.decay < 0.99 * decay:
         doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
                                          found=candidate.decay))]
-    upper = min(rungs)
+    upper, modulo = min(rungs), freedom is not None and base.known.order > LARGE
+    if modulo and freedom is not None:  # where any spectrum can be had, there is a stable one
+        upper = min([upper, *(order for order, free in enumerate(freedom) if free == order)])
+    steps = sorted(steps, key=lambda s: s.order)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)
     # with a polynomial p of one order there is (s + a) p of the next
@@ -308,7 +345,7 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     return replace(sensor, ladder=ladder,
                    noise=Noise(candidate.error, floor, base.noise.assumed),
                    proof=Proof(lower, upper, tuple(steps),
-                               tuple(dict.fromkeys(doubts))))
+                               tuple(dict.fromkeys(doubts)), modulo))
 
 
 def _refusal(base: Ground, doubts: list[str]) -> Refusal:

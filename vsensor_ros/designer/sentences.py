@@ -137,6 +137,12 @@ SENTENCES: dict[str, Callable[..., str]] = {
 
     # of one order: why there is none, or why that is open
     'found': lambda method: f'found: {method}',
+    'found of no use': lambda method, error, size: (
+        f'found: {method}, but of no use: its noise error is {error:.2g} where what is wanted is '
+        f'of size {size:.2g}'),
+    'no digits': lambda: (
+        'exact arithmetic says that any spectrum can be had, but no design was found whose '
+        'equations hold in double precision: its gains would be of no use'),
     'too few states': lambda least: (
         f'what it must know besides the readings takes at least {least} states'),
     'no combination of readings': lambda: 'no combination of the healthy readings equals it',

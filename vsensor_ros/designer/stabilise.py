@@ -9,6 +9,7 @@ over conditions that any stable polynomial meets; a member is found by descent.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag, eig
@@ -37,6 +38,7 @@ class NoStableMember:
     why: Reason
 
 
+@lru_cache(maxsize=4)  # who finds none asks again why
 def stable_members(family: Family, sample_time: float | None,
                    wanted: float) -> tuple[list[np.ndarray], NoStableMember | None]:
     """

@@ -28,6 +28,8 @@ class Proof:
     upper: int
     steps: tuple[OrderStep, ...]
     doubts: tuple[str, ...]  # decisions on a rank that are ambiguous
+    # the bounds are those of exact arithmetic modulo two primes, right but by a freak of both
+    modulo: bool = False
 
     @property
     def least(self) -> bool:

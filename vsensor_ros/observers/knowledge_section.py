@@ -13,8 +13,10 @@ from vsensor_ros.observers.knowledge import Noise, OrderStep, Proof, Rung
 
 def proof_record(proof: Proof | None) -> dict[str, Any] | None:
     """Write what is proved of the least order."""
-    return None if proof is None else {
-        **asdict(proof),
+    if proof is None:
+        return None
+    return {
+        **{key: value for key, value in asdict(proof).items() if key != 'modulo' or value},
         'steps': [{**asdict(s), 'gap': [s.gap[0], or_null(s.gap[1])]} for s in proof.steps]}
 
 
@@ -32,7 +34,7 @@ def read_proof(reader: CheckedObject | None, order: int, grade: str) -> Proof | 
     """Read what is proved of the least order."""
     if reader is None:
         return None
-    reader.only(('lower', 'upper', 'steps', 'doubts'))
+    reader.only(('lower', 'upper', 'steps', 'doubts', 'modulo'))
     lower, upper = reader.whole('lower'), reader.whole('upper')
     if lower > upper:
         raise reader.fail('lower', f'{lower} is above upper, {upper}')
@@ -51,7 +53,8 @@ def read_proof(reader: CheckedObject | None, order: int, grade: str) -> Proof | 
         if step.verdict == 'possible' and step.order < upper:
             raise item.fail('verdict', f'possible does not agree with upper, {upper}')
         steps.append(step)
-    return Proof(lower, upper, tuple(steps), reader.texts('doubts'))
+    return Proof(lower, upper, tuple(steps), reader.texts('doubts'),
+                 'modulo' in reader.record and reader.flag('modulo'))
 
 
 def read_rung(reader: CheckedObject) -> Rung:

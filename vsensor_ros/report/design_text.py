@@ -148,12 +148,15 @@ def order(entry: Entry) -> str:
     proof = entry.proof
     if proof is None:
         return f'{entry.order} (nothing proved of the least)'
-    least = (f'the least is {proof.upper}, proved' if proof.least
+    how = 'modulo two primes' if proof.modulo else 'proved'
+    least = (f'the least is {proof.upper}, {how}' if proof.least
              else f'the least is between {proof.lower} and {proof.upper}')
     if proof.least and entry.order == proof.upper:
-        return f'{entry.order} (proved least)'
-    if entry.order > proof.upper:
-        ladder = entry.ladder if isinstance(entry, VirtualSensor) else ()
+        return f'{entry.order} ({"least, modulo two primes" if proof.modulo else "proved least"})'
+    ladder = entry.ladder if isinstance(entry, VirtualSensor) else ()
+    if ladder and proof.upper not in {rung.order for rung in ladder}:
+        least += ', but of no use: its gains are beyond double precision'
+    elif entry.order > proof.upper:
         worse = entry.noise is not None and any(
             rung.order == proof.upper and rung.noise < entry.noise.error for rung in ladder)
         least += ('; this one is faster, or proved where that is not' if worse
