@@ -12,7 +12,7 @@ import numpy as np
 
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.deviations import Deviations
-from vsensor_ros.bank.estimates import Estimates
+from vsensor_ros.bank.estimates import Disagreement, Estimates
 from vsensor_ros.bank.record import Rehearsal
 from vsensor_ros.bank.serving import Serving
 from vsensor_ros.bank.shown import Shown
@@ -265,12 +265,13 @@ class Bank(Steps):
             output, self._at_grid_time(channel, self._told.said(channel)))
         return None if found is None else found * self._steepness(output)
 
-    def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
+    def disagreement(self, fault_set: Iterable[str], channel: str) -> Disagreement | None:
         """
         Return reading - estimate at the channel's last believed reading; None when not known.
 
-        A reading that is out of line with what was measured before, some time ago, was faulty
-        already: then it is the median of what was measured.
+        That reading may have been faulty already, so it is told what of it is usual by what was
+        measured before, some time ago. If it is out of line with that it counts for nothing: then
+        it is the median of what was measured.
         """
         output = self._running(fault_set, channel)
         if output is None:
@@ -280,8 +281,8 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        found = self._estimates.disagreement(output, last)
-        return None if found is None else found * self._steepness(output)
+        found, steep = self._estimates.disagreement(output, last), self._steepness(output)
+        return None if found is None else Disagreement(found.usual * steep, found.rest * steep)
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
