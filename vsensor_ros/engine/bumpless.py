@@ -18,10 +18,10 @@ class Bumpless:
     """
     output = value + offset * exp(-age / time_constant) + passing * (1 - age / soon).
 
-    Where age is t - since, and all in units of the channel. So what the offset does to the output has fallen to 37 % after one
-    time constant, and is gone after 7. What is `passing`, because the old source was not to be
-    believed so far, is gone after a fifth of one: that is soon. With the time constant 0 there is
-    never any. Raises ValueError, one line.
+    Where age is t - since, and all in units of the channel. So what the offset does to the output
+    has fallen to 37 % after one time constant, and is gone after 7. What is `passing`, because the
+    old source was not to be believed so far, is gone after a fifth of one: that is soon. With the
+    time constant 0 there is never any. Raises ValueError, one line.
     """
 
     time_constant: float  # s
