@@ -106,6 +106,6 @@ def test_what_may_be_the_fault_makes_no_jump_and_passes_soon(usual, rest, age):
     assert b.left(SECOND) == pytest.approx(usual + rest, abs=1e-12 * size)
     left = b.left(SECOND + age)
     assert abs(left - usual * math.exp(-2e-9 * age)) <= abs(rest) * max(
-        0.0, 1.0 - 1e-8 * age) + 1e-9 * size
+        0.0, 1.0 - 1e-8 * age)**2 + 1e-9 * size
     other = b.with_time_constant(2.0, SECOND + age)
     assert other.left(SECOND + age) == left

@@ -16,7 +16,7 @@ _SOON = 0.2  # time constants, in which what is not believed goes
 @dataclass(frozen=True)
 class Bumpless:
     """
-    output = value + offset * exp(-age / time_constant) + passing * (1 - age / soon).
+    output = value + offset * exp(-age / time_constant) + passing * (1 - age / soon)^2.
 
     Where age is t - since, and all in units of the channel. So what the offset does to the output
     has fallen to 37 % after one time constant, and is gone after 7. What is `passing`, because the
@@ -68,7 +68,7 @@ class Bumpless:
             return 0.0, 0.0
         factor = math.exp(-max(age, 0.0))
         return self.offset * factor if factor >= _GONE else 0.0, \
-            self.passing * (1.0 - min(max(age / _SOON, 0.0), 1.0))
+            self.passing * (1.0 - min(max(age / _SOON, 0.0), 1.0))**2
 
     def active(self, time: int) -> bool:
         """Tell whether anything is left of the offset."""
