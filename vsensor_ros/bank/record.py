@@ -226,9 +226,12 @@ class Record:
 
     def rehearsal(self, row: int) -> Rehearsal | None:
         """Return what the last minute of a virtual sensor was like; None: nothing is known."""
-        latest = self._latest()[row] & (self._blocks[0, row] > 0.0)
+        sums = _Block(*self._blocks[:, row])
+        latest = self._latest()[row] & (sums.seconds > 0.0)
         if not latest.any():
             return None
+        settled = latest & (sums.young == 0.0)
+        latest = settled if settled.any() else latest
         blocks = self._blocks[:, row, latest]
         sums = _Block(*blocks.sum(axis=1))
         return Rehearsal(*(float(found) for found in (
