@@ -12,7 +12,7 @@ def test_a_reason_is_its_code_and_facts():
     assert str(Reason.of('force waits', why=one)) == 'force waits: y1 silent for 1.0 s'
     assert str(Reason.of('no design', failed=('y1', Reason.of(
         'named', name='y2', why=Reason('forced'))))) == (
-            'no design for the faulty sensors y1, y2 (forced)')
+            'no design for the loss of y1, y2 (forced)')
 
 
 def test_what_comes_from_outside_is_no_pattern():

@@ -88,7 +88,7 @@ SENTENCES: dict[str, Sentence] = {
     'forced': 'forced',
     'named': '{name} ({why})',
     # of channels: why they are served as they are
-    'no design': 'no design for the faulty sensors {failed}',
+    'no design': 'no design for the loss of {failed}',
     'ready again': 'ready again for {seconds:.1f} s, serves after {dwell:.1f} s',
     'ready just now': 'was not ready until just now',
     'next best': '{exact}; that for {fault_set}: {next}',

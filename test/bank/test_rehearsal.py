@@ -40,6 +40,15 @@ def test_a_start_that_was_worse_than_stated_counts_until_there_is_better(lag):
     assert deviation[260] > 3 * deviation[-1] and deviation[-1] == pytest.approx(0.02, rel=0.05)
 
 
+def test_what_the_start_did_is_told_until_there_is_better(lag):
+    bank = lag(1.0, start=np.eye(1), noise=Noise(0.02, 0.0, False))  # it is off by 1
+    follow(bank, range(0, 4_000, 10), 1.0, 1.0, noise=0.02)
+    assert bank.measured(*KEY).worst > 0.3 and bank.measured(*KEY).rms > 0.2
+    follow(bank, range(4_000, 20_000, 10), 1.0, 1.0, noise=0.02)
+    told = bank.measured(*KEY)
+    assert told.worst < 0.1 and told.rms < 0.03 and told.seconds > 8.0
+
+
 def test_a_bound_counts_while_few_were_compared(lag):
     bank = lag(noise=Noise(0.001, 0.0, False))
     _, deviation = follow(bank, range(0, 15_000, 10), 0.5, noise=0.01)

@@ -221,7 +221,7 @@ def test_a_sensor_that_isolation_calls_faulty_is_said(robot, file):
     robot.drive('controller', Float64, VOLTAGE, volts)
     publisher = robot.node('isolator').create_publisher(DiagnosticArray, '/isolation', KEPT)
     publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name='y2', level=b'\x02')]))
-    good = says('y3: cannot be replaced now: no design for the faulty sensors y2, y3',
+    good = says('y3: cannot be replaced now: no design for the loss of y2, y3',
                 'check: one thing would not work. First: isolation says that y2 is faulty now')
     done = robot.run_until(good, 'check', '--params-file', file())
     assert good(done), done.stdout + done.stderr

@@ -33,9 +33,12 @@ def faulty(*names):
 class Machine:
     """Two sensors, y2 twice y1, in one message or each in its own; time goes on by periods."""
 
-    def __init__(self, bench, shared=False, simulated=True, wrap=(), told=None, **live):
-        twice = [bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',)),
-                 bench.virtual_sensor([], [], Q=[[0.5]], fault_set=('y1',), healthy=('y2',))]
+    def __init__(self, bench, shared=False, simulated=True, wrap=(), told=None, noise=None,
+                 **live):
+        twice = [bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',),
+                                      noise=noise),
+                 bench.virtual_sensor([], [], Q=[[0.5]], fault_set=('y1',), healthy=('y2',),
+                                      noise=noise)]
         settings = {'without_estimate': 'stop', 'time_constant': 0.0,
                     'policies': {s: Policy(dwell=0.0) for s in ('y1', 'y2')},
                     'max_deviation': {'y1': 0.0, 'y2': 0.0}, **live}

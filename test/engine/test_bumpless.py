@@ -84,13 +84,28 @@ def test_a_time_constant_that_is_none_is_refused(wrong):
 
 
 def test_a_surer_virtual_sensor_is_not_burdened_by_the_error_of_the_one_before():
-    def offset_after(before, deviation, source='virtual', above=None):
+    def carried_on(before, deviation, source='virtual', fault_set=('y', 'z'), above=None):
+        """Return by how much too high the first output is, and one when `passing` is gone."""
         channel = Channel('y', SECOND, Bumpless(0.5))
-        channel.serve(source, ('y', 'z') if source == 'virtual' else (), 5.0, 0, None, before)
-        output = channel.serve('virtual', ('y',), 4.0, 0, above, deviation)
-        return output - 4.0
-    assert offset_after(0.17, 0.01) == pytest.approx(0.01)
-    assert offset_after(0.17, 0.01, above=-2.0) == pytest.approx(-0.01)
-    assert offset_after(2.0, 1.5) == 1.0  # within what the new one may be off anyway
-    assert offset_after(0.1, 0.2) == offset_after(math.inf, math.inf) == 1.0  # no surer: no step
-    assert offset_after(0.0, 0.2, 'real') == 1.0
+        channel.serve(source, fault_set, 5.0, 0, None, before)
+        return [channel.serve('virtual', ('y',), 4.0, now, above, deviation, 'free') - 4.0
+                for now in (0, SECOND // 10)]
+    tenth = math.exp(-0.2)  # of the time constant
+    assert carried_on(0.17, 0.01) == pytest.approx([1.0, 0.01 * tenth])
+    assert carried_on(2.0, 1.5) == pytest.approx([1.0, tenth])  # within what it may be off anyway
+    assert carried_on(0.1, 0.2) == carried_on(math.inf, math.inf) == \
+        pytest.approx([1.0, tenth])  # no surer: it knows no better
+    assert carried_on(0.1, 0.2, fault_set=('y',)) == pytest.approx([1.0, 0.2 * tenth])  # a run
+    assert carried_on(0.0, 0.2, 'real', ()) == pytest.approx([1.0, tenth])
+
+
+@given(VALUES, VALUES, st.integers(0, SECOND))
+def test_what_may_be_the_fault_makes_no_jump_and_passes_soon(usual, rest, age):
+    b = Bumpless(0.5).begin(SECOND, usual, passing=rest)
+    size = abs(usual) + abs(rest)
+    assert b.left(SECOND) == pytest.approx(usual + rest, abs=1e-12 * size)
+    left = b.left(SECOND + age)
+    assert abs(left - usual * math.exp(-2e-9 * age)) <= abs(rest) * max(
+        0.0, 1.0 - 1e-8 * age)**2 + 1e-9 * size
+    other = b.with_time_constant(2.0, SECOND + age)
+    assert other.left(SECOND + age) == left

@@ -151,6 +151,20 @@ def test_a_forced_one_is_served_too_and_at_the_switch_there_is_no_step(joint):
     assert abs(errors[0]) < 4 * 0.0005 and np.abs(np.diff(errors)).max() < 0.0005
 
 
+@pytest.mark.parametrize('size', [0.002, -0.002])
+def test_a_small_fault_within_the_guard_makes_no_step_and_is_gone_soon(joint, size):
+    """Nothing tells it from what the run may have drifted off by then, but the isolation."""
+    m = joint(time_constant=0.5).until(3.0)
+    m.until(3.3, lambda t: float(m.y[m.k, 0]) + size)
+    last = float(m.y[m.k, 0]) + size
+    m.isolate('angle')
+    assert abs(m.sent[-1].fields[0][1].value - last) < 0.02 * 0.5 + 0.0005  # it has moved on
+    assert abs(m.sent[-1].fields[0][1].offset) > 0.001
+    m.until(3.41, lambda t: 99.0)
+    assert abs(m.sent[-1].fields[0][1].offset) < 1.5 * 0.0005  # what the encoder's noise does
+    assert abs(m.error()) <= 3 * m.state('angle').deviation
+
+
 def test_one_that_no_limit_ends_is_not_forced(joint):
     m = joint(limit=0.0).until(3.0)
     with pytest.raises(CannotServe, match='^angle: cannot be forced; .* no limit says'):

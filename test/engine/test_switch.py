@@ -219,9 +219,9 @@ def test_a_force_waits_for_the_better_one_that_converges(build):
 def test_no_set_is_served_by_a_design_for_a_smaller_one(build):
     run = Run(build('a/a b/b -c/c'))
     assert run.isolate('ab') == ['!', '!', '']
-    assert run.why('a') == 'no design for the faulty sensors a, b'
+    assert run.why('a') == 'no design for the loss of a, b'
     assert run.isolate('c')[2] == '!'
-    assert run.why('c') == ('no design for the faulty sensors '
+    assert run.why('c') == ('no design for the loss of '
                             'a (healthy again, believed after 2 s without a fault), '
                             'b (healthy again, believed after 2 s without a fault), c')
     assert run.decide(2.0) == ['', '', '!'] and run.why('c') == 'c cannot be seen'
@@ -486,7 +486,7 @@ def test_a_force_ends_when_a_fault_needs_the_sensor(build):
     run = Run(build('a/a b/b'))
     run.force('a')
     assert run.isolate('b') == ['', 'b', '']
-    assert run.why('a') == 'force ended: no design for the faulty sensors a (forced), b'
+    assert run.why('a') == 'force ended: no design for the loss of a (forced), b'
 
 
 def test_a_clock_set_back_delays_a_recovery_by_the_dwell_at_most(build):

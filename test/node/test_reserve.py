@@ -62,6 +62,7 @@ def test_of_what_was_heard_before_the_parameters_are_right(publishers, mend):
     ({}, 'y2 could be replaced now, to 0.021 rad/s'),
     ({'remaining_s': 12.3}, 'y2 could be replaced now, to 0.021 rad/s, for 12 s'),
     ({'rehearsed': None}, 'y2 could be replaced now, to 0.021 rad/s (not compared with it yet)'),
+    ({'serves': object(), 'remaining_s': 12.3}, 'y2 is replaced, to 0.021 rad/s, for 12 s'),
     ({'reserve': CONVERGING}, 'y2 could not be replaced now (converging, 2.3 s more)'),
     ({'reserve': REFUSED}, 'y2 cannot be replaced (no way)')])
 def test_what_a_reserve_is_worth_in_words(more, words):
@@ -70,7 +71,8 @@ def test_what_a_reserve_is_worth_in_words(more, words):
     given = {'reserve': None, 'reserve_deviation': 0.0213, 'rehearsed': rehearsed, **more}
     assert worth(ChannelState(
         'y2', '/y2', 'rad/s', 'real', None, (), '', 1.5, 0.0, None, 0.0, 0, nan, nan, 0.0, False,
-        nan, nan, nan, None, False, 0, 0, {}, 100, **given)) == words
+        nan, nan, nan, **{'serves': None, **given}, outside_region=False, outside_domain=0,
+        restarts=0, counts={}, readings=100)) == words
 
 
 @pytest.fixture

@@ -3,7 +3,8 @@
 from vsensor_ros.bank.angle import Angle
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.estimates import Disagreement
 from vsensor_ros.bank.flights import GUARD, LONGEST_GUARD
 from vsensor_ros.bank.record import Rehearsal
 
-__all__ = ['GUARD', 'LONGEST_GUARD', 'Angle', 'Bank', 'End', 'Rehearsal']
+__all__ = ['GUARD', 'LONGEST_GUARD', 'Angle', 'Bank', 'Disagreement', 'End', 'Rehearsal']

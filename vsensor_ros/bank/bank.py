@@ -12,7 +12,8 @@ import numpy as np
 
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.deviations import Deviations
-from vsensor_ros.bank.estimates import Estimates
+from vsensor_ros.bank.estimates import Disagreement, Estimates
+from vsensor_ros.bank.lacks import Lacks
 from vsensor_ros.bank.record import Rehearsal
 from vsensor_ros.bank.serving import Serving
 from vsensor_ros.bank.shown import Shown
@@ -42,7 +43,6 @@ class Bank(Steps):
                          for (fault_set, channel), entry in design.entries.items()}
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
-        self._of: list[int] = self._batch.of.tolist()
         guards = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
                   for t in self._batch.tracked]
         self._serving = Serving(self._batch, self._runs, self._past, guards, self.period * 1e-9,
@@ -53,6 +53,8 @@ class Bank(Steps):
         self._estimates = Estimates(self._batch, self._runs, self._serving, self._measured,
                                     self._past, self.period * 1e-9, self.angles)
         self._shown = Shown(design, self._batch.keys)
+        self._lacks = Lacks(self._batch, self._runs, self._flights, self._serving,
+                            self._deviations, self._told, self._past)
 
     def entry(self, fault_set: Iterable[str], channel: str) -> Entry | Refusal | None:
         """Return what was designed for a channel; None: nothing."""
@@ -124,21 +126,18 @@ class Bank(Steps):
         """
         output = self._output.get((frozenset(fault_set), channel))
         return output is not None and self.waiting(fault_set, channel) == 0.0 and \
-            self._why_invalid(output) is None
+            self._lacks.invalid(output) is None
 
     def converging(self, fault_set: Iterable[str], channel: str) -> bool:
         """Tell whether it runs and could be used, but for what is left of its start yet."""
         output = self._running(fault_set, channel)
         return output is not None and 0.0 < self._serving.waiting(output) < math.inf \
-            and self._why_invalid(output) is None
+            and self._lacks.invalid(output) is None
 
     def waiting(self, fault_set: Iterable[str], channel: str) -> float:
         """Return the time [s] until it is ready: 0 when it is, infinite when it does not run."""
         output = self._output.get((frozenset(fault_set), channel))
-        if output is None or not self._past:
-            return math.inf
-        alone = self._serving.waiting(output) if self._serving.runs(output) else math.inf
-        return min(alone, self._serving.until_tracked(output))
+        return math.inf if output is None else self._serving.until_ready(output)
 
     def warm_up(self, fault_set: Iterable[str], channel: str) -> float:
         """Return how long [s] it takes to forget its start; infinite when that is not known."""
@@ -265,12 +264,13 @@ class Bank(Steps):
             output, self._at_grid_time(channel, self._told.said(channel)))
         return None if found is None else found * self._steepness(output)
 
-    def disagreement(self, fault_set: Iterable[str], channel: str) -> float | None:
+    def disagreement(self, fault_set: Iterable[str], channel: str) -> Disagreement | None:
         """
         Return reading - estimate at the channel's last believed reading; None when not known.
 
-        A reading that is out of line with what was measured before, some time ago, was faulty
-        already: then it is the median of what was measured.
+        That reading may have been faulty already, so it is told what of it is usual by what was
+        measured before, some time ago. If it is out of line with that it counts for nothing: then
+        it is the median of what was measured.
         """
         output = self._running(fault_set, channel)
         if output is None:
@@ -280,8 +280,8 @@ class Bank(Steps):
             last = self._farewells.get(channel)
         elif channel in self.sensors:
             last = self._at_grid_time(channel, self._told.samples[channel])
-        found = self._estimates.disagreement(output, last)
-        return None if found is None else found * self._steepness(output)
+        found, steep = self._estimates.disagreement(output, last), self._steepness(output)
+        return None if found is None else Disagreement(found.usual * steep, found.rest * steep)
 
     def why_not(self, fault_set: Iterable[str], channel: str) -> Reason | None:
         """Return why there is no estimate that is ready, or None when there is one."""
@@ -294,44 +294,9 @@ class Bank(Steps):
         key: Key = entry.fault_set, channel
         if key in self._batch.left_out:
             return self._batch.left_out[key]
-        output = self._output[frozenset(entry.fault_set), channel]
-        i = self._serving.tracked.get(output)
-        if self._serving.until_tracked(output) == 0.0:
-            return self._why_invalid(output)
-        if i is not None and self._batch.tracked[i].temporary and \
-                not self._serving.flies(i):
-            return self._why_not_tracked(output, i)
-        if self.estimate(entry.fault_set, channel) is not None:
-            wait = self.waiting(entry.fault_set, channel)
-            if wait == math.inf:
-                return Reason.of('start unknown')
-            if wait:
-                proved = self._batch.proved[output]
-                return Reason.of('converging' if proved else 'converging, not proved',
-                                 seconds=wait)
-            return self._why_invalid(output)
-        missing = self._told.missing(self._batch.starts_on[self._of[output]], self._now)
-        if missing is not None:
-            return missing
-        if self._running(fault_set, channel) is not None:
-            return Reason.of('estimate not finite')
-        return Reason.of('about to start')
-
-    def _why_not_tracked(self, output: int, i: int) -> Reason:
-        """Return why a temporary one does not run freely, nor could."""
-        tracked = self._batch.tracked[i]
-        lack = self._told.missing(self._batch.starts_on[self._of[output]], self._now)
-        if lack is not None or self._runs.lost(i):
-            return lack or self._runs.why[i] or Reason.of(
-                'catching up' if self._flights.behind(i) else 'track lost')
-        lack = self._told.missing(self._batch.starts_on[tracked.tracker], self._now)
-        if lack is not None:
-            own = [self.sensors[c] for c in tracked.channels]
-            isolated = lack.code == 'input isolated' and lack.fact('name') in own
-            return Reason.of('not tracked yet') if isolated else lack
-        wait = self._serving.until_tracked(output)
-        return Reason.of('converging' if self._batch.proved[output] else 'converging, not proved',
-                         seconds=wait) if 0.0 < wait < math.inf else Reason.of('about to start')
+        says = self.estimate(entry.fault_set, channel) is not None
+        return self._lacks.reason(self._output[frozenset(entry.fault_set), channel], says,
+                                  self._now)
 
     @property
     def outside_domain(self) -> Counter[Key]:
@@ -367,13 +332,6 @@ class Bank(Steps):
         """Return the output of a virtual sensor that is running now."""
         output = self._output.get((frozenset(fault_set), channel))
         return output if output is not None and self._serving.runs(output) else None
-
-    def _why_invalid(self, output: int) -> Reason | None:
-        state = self._past[-1]
-        if self._serving.is_free(output) and self._deviations.lost(output, state):
-            return Reason('lost on its way')
-        return self._batch.invalid(output, self._runs.serving(state.z), state.told,
-                                   self._serving.age(output))
 
     def _steepness(self, output: int) -> float:
         """Return by what a small difference of linear readings is to be multiplied now."""

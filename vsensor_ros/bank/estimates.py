@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,17 @@ from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.serving import OUT_OF_LINE, Serving
 from vsensor_ros.bank.state import State
 from vsensor_ros.observers import Batch
+
+
+class Disagreement(NamedTuple):
+    """
+    How far the last value of a source lies above that of another; in the unit of the channel.
+
+    What is beyond the usual may be the fault for which the other takes over.
+    """
+
+    usual: float  # as far as they differed while all was well
+    rest: float
 
 
 class Estimates:
@@ -56,25 +68,34 @@ class Estimates:
         angle = self._angles.get(self._batch.keys[output][1])
         return value if angle is None else angle.shortest(value)
 
-    def disagreement(self, output: int, reading: tuple[int, float] | None) -> float | None:
-        """Return that, or where it is out of line with what was measured, the median of that."""
+    def disagreement(self, output: int,
+                     reading: tuple[int, float] | None) -> Disagreement | None:
+        """
+        Return that, as far as such were measured before, and what is beyond.
+
+        Where it is out of line with what was measured or designed: the median of those measured.
+        """
         if self._serving.is_free(output):
-            centre, spread = 0.0, self._spread_of_free(output, reading)
+            centre = 0.0
+            shown, spread = self._spreads_of_free(output, reading)
         else:
             record = self._measured.record
-            centre = float(record.centre[output])
+            centre, shown = float(record.centre[output]), float(record.shown[output])
             spread = self._batch.error[output] if math.isnan(centre) else record.spread[output]
         known = not math.isnan(centre)
         value = self.residual(output, reading)
-        if value is not None and abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
-            return value
-        return centre if known else None
+        if value is None or not abs(value - (centre if known else 0.0)) <= OUT_OF_LINE * spread:
+            return Disagreement(centre, 0.0) if known else None
+        usual = max(centre - shown, min(value, centre + shown)) \
+            if known and shown < math.inf else 0.0
+        return Disagreement(usual, value - usual)
 
-    def _spread_of_free(self, output: int, reading: tuple[int, float] | None) -> float:
-        """Return the standard deviation of a reading (tick, value) - what a free run says."""
+    def _spreads_of_free(self, output: int,
+                         reading: tuple[int, float] | None) -> tuple[float, float]:
+        """Return of readings - what is estimated the rms before, and what it may be by now."""
         i = self._serving.tracked[output]
         seed = self._runs.seed(i)
         if seed is None or reading is None:
-            return math.nan
+            return math.nan, math.nan
         age = max(0.0, (reading[0] - seed.since) * self._period)
-        return math.hypot(seed.spread, self._measured.growth.stated(i, age))
+        return seed.spread, math.hypot(seed.spread, self._measured.growth.stated(i, age))

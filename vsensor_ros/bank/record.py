@@ -186,7 +186,7 @@ class Record:
         kept = _without_worst(off, there)
         known = there.any(axis=1)
         # the most of them, because motion comes and goes
-        self.spread = np.sqrt(np.where(known, np.where(kept, off, 0.0).max(axis=1), np.nan))
+        self.shown = np.sqrt(np.where(known, np.where(kept, off, 0.0).max(axis=1), np.nan))
         # of a channel that rests one learns nothing of the model
         far = (at - _median(at, there)[:, None])**2 + sums.about / seconds - sums.noise / seconds
         moves = _without_worst(off, there & (far > (_MOVED * self._error[:, None])**2))
@@ -195,8 +195,8 @@ class Record:
         in_motion = _rms(moves, seconds, sums.second, sums.noise)
         # in its motion alone, NaN where that was not enough
         self.alone = np.where(self._assumed & (moving >= self._enough), in_motion, np.nan)
-        self.spread = np.where(np.isnan(self.alone), np.fmax(self.spread, self._error),
-                               self.spread)
+        self.spread = np.where(np.isnan(self.alone), np.fmax(self.shown, self._error),
+                               self.shown)
         # from here on the first blocks count, too, while there are few others
         excess = np.where(there, sums.second, sums.second - _EXPLAINED**2 * sums.start)
         there = there | (heard & (excess > 0.0) & (there.sum(axis=1) < _FEW)[:, None])
@@ -226,9 +226,12 @@ class Record:
 
     def rehearsal(self, row: int) -> Rehearsal | None:
         """Return what the last minute of a virtual sensor was like; None: nothing is known."""
-        latest = self._latest()[row] & (self._blocks[0, row] > 0.0)
+        sums = _Block(*self._blocks[:, row])
+        latest = self._latest()[row] & (sums.seconds > 0.0)
         if not latest.any():
             return None
+        settled = latest & (sums.young == 0.0)
+        latest = settled if settled.any() else latest
         blocks = self._blocks[:, row, latest]
         sums = _Block(*blocks.sum(axis=1))
         return Rehearsal(*(float(found) for found in (

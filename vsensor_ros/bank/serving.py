@@ -74,6 +74,11 @@ class Serving:
             return 0.0 if self.flies(self.tracked[output]) else math.inf
         return self._batch.waiting(output, self._past[-1].z[:self._batch.size], self.age(output))
 
+    def until_ready(self, output: int) -> float:
+        """Return the time [s] until it may serve: 0 when it may, inf when it does not run."""
+        alone = self.waiting(output) if self.runs(output) else math.inf
+        return min(alone, self.until_tracked(output))
+
     def until_tracked(self, output: int) -> float:
         """Return the time [s] until there is a free run if the channels are lost then."""
         i = self.tracked.get(output)

@@ -22,7 +22,8 @@ from vsensor_ros.bank.commands import check_ends, End
 from vsensor_ros.bank.composite import batch_of
 from vsensor_ros.bank.flights import AT_ONCE, Flights, guards_of, stop
 from vsensor_ros.bank.free_runs import FreeRuns
-from vsensor_ros.bank.inputs import ages_of, Inputs, ISOLATED, LARGEST
+from vsensor_ros.bank.grid import grid_of
+from vsensor_ros.bank.inputs import Inputs, ISOLATED, LARGEST
 from vsensor_ros.bank.late import Late
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.readings import Samples
@@ -30,8 +31,6 @@ from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import stacked, State
 from vsensor_ros.observers import Design, Told
 from vsensor_ros.reason import Reason
-
-_LONGEST = 1000  # steps that can be taken back, at most
 
 
 class Steps:
@@ -57,35 +56,15 @@ class Steps:
         sensor said in so many s before it was lost is not believed afterwards; GUARD for those not
         named. Raises BadInput when a number does not suit the design.
         """
-        if not (math.isfinite(rate) and 0.0 < rate <= 1e6):
-            raise BadInput('', 'rate', f'{rate} is not a rate in Hz', 'give a number above 0')
-        if design.sample_time is not None and abs(rate * design.sample_time - 1.0) > 1e-6:
-            raise BadInput('', 'rate', f'{rate:g} Hz does not suit a plant with the sample time '
-                           f'{design.sample_time:g} s', f'give {1.0 / design.sample_time:g}')
+        grid = grid_of(design, rate, max_age, jump_ahead)
         for name in set(design.sensors) & set(design.inputs):
             raise BadInput('', name, 'is both a sensor and a command', 'rename one')
         for name in {name for turns in design.wrap for name in turns} & set(design.curves):
             if design.curves[name].text:
                 raise BadInput('', name, 'shows a curve, and wraps', 'write it without a curve')
         self.sensors, self.inputs = design.sensors, design.inputs
-        self.period = round(1e9 / rate)
-        ages = ages_of(design.sensors, max_age, 3 * self.period)
-        # by which stamps are put on: a reading tells of earlier, a command acts later
-        self._shifts = {name: round(1e9 * (-delay if name in ages else delay))
-                        for name, delay in design.delays.items()}
-        for name, shift in self._shifts.items():
-            if (steps := -shift / self.period) >= _LONGEST:
-                raise BadInput('', name, f'is {-shift * 1e-9:g} s late, {steps:.4g} steps at '
-                               f'{rate:g} Hz, of which {_LONGEST} are kept',
-                               'lower the rate, or the delay in the plant file')
-        ages = {name: age - self._shifts.get(name, 0) for name, age in ages.items()}
-        # steps that can be taken back; readings from before are as they were held
-        self._span = min(2 * max(ages.values(), default=self.period) // self.period + 1, _LONGEST)
-        if jump_ahead is not None and not jump_ahead > 0.0:
-            raise BadInput('', 'jump_ahead', f'{jump_ahead} is not a time in s',
-                           'give a number above 0')
-        self._jump = _LONGEST if jump_ahead is None else max(
-            3, min(round(min(jump_ahead, 1e9) * 1e9 / self.period), 10 * _LONGEST))
+        self.period, self._shifts, self._span, self._jump = \
+            grid.period, grid.shifts, grid.span, grid.jump
         # a discrete plant's readings are of the instants at which its commands begin
         Cu = design.Cu if design.sample_time is None else None
         Cu = Cu if Cu is not None and Cu.any() else None
@@ -105,14 +84,14 @@ class Steps:
         self._by_itself[self._runs.free] = False
         check_ends(command_ends, design.inputs)
         held = Cu is not None or any(curve.beside for curve in design.curves.values())
-        self._told = Inputs(ages, design.inputs, Cu, self._batch.wants_held or held,
+        self._told = Inputs(grid.ages, design.inputs, Cu, self._batch.wants_held or held,
                             command_ends, 3 * self.period, design.wrap, design.curves,
                             self._shifts)
         self.angles = self._told.angles  # by sensor that wraps
         self._past: deque[State] = deque()
         # what comes late by itself is paid for
         self._late = Late(self._span, -min(self._shifts.values(), default=0) // self.period)
-        self._measured = Measured(self._batch, ages, self.period, Cu, self._short_way)
+        self._measured = Measured(self._batch, grid.ages, self.period, Cu, self._short_way)
         self._flights = Flights(self._batch, self._runs, self._spreads, self._told, self._past,
                                 self._guards, self._at, self._measured)
         # who lacks what there was last: (L + m,) bool, and (R,) those that stop, or cannot start

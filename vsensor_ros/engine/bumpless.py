@@ -10,19 +10,23 @@ from dataclasses import dataclass, replace
 import math
 
 _GONE = 1e-3  # of its first size: what is left of an offset then is dropped
+_SOON = 0.2  # time constants, in which what is not believed goes
 
 
 @dataclass(frozen=True)
 class Bumpless:
     """
-    output = value + offset * exp(-(t - since) / time_constant), units of the channel.
+    output = value + offset * exp(-age / time_constant) + passing * (1 - age / soon)^2.
 
-    So what the offset does to the output has fallen to 37 % after one time constant, and is gone
-    after 7. With the time constant 0 there is never any. Raises ValueError, one line.
+    Where age is t - since, and all in units of the channel. So what the offset does to the output
+    has fallen to 37 % after one time constant, and is gone after 7. What is `passing`, because the
+    old source was not to be believed so far, is gone after a fifth of one: that is soon. With the
+    time constant 0 there is never any. Raises ValueError, one line.
     """
 
     time_constant: float  # s
     offset: float = 0.0  # at `since`
+    passing: float = 0.0  # at `since`
     since: int = 0  # ns
     before: float = math.nan  # the last output before the switch, until the first one after it
     step: float = math.nan  # that first output minus the last before; nan: none is known
@@ -33,17 +37,18 @@ class Bumpless:
             raise ValueError(f'time_constant: {self.time_constant} is not a time in s; '
                              'give 0 or more')
 
-    def begin(self, time: int, offset: float, before: float = math.nan) -> Bumpless:
+    def begin(self, time: int, offset: float, before: float = math.nan,
+              passing: float = 0.0) -> Bumpless:
         """
         Switch: add this offset to the new source's values from now on; none if not finite.
 
-        before: the last output that went out, nan when there was none. Something that is left of
-        the last switch is forgotten: see `left`.
+        passing: added, too, but not for long. before: the last output that went out, nan when
+        there was none. Something that is left of the last switch is forgotten: see `left`.
         """
-        if not math.isfinite(offset) or self.time_constant == 0.0:
-            offset = 0.0
-        return replace(self, offset=float(offset), since=time, before=float(before),
-                       step=math.nan, steps=self.steps + 1)
+        if not math.isfinite(offset + passing) or self.time_constant == 0.0:
+            offset = passing = 0.0
+        return replace(self, offset=float(offset), passing=float(passing), since=time,
+                       before=float(before), step=math.nan, steps=self.steps + 1)
 
     def left(self, time: int) -> float:
         """
@@ -52,11 +57,18 @@ class Bumpless:
         A little before `since` it is the whole offset; more than a time constant before, when the
         clock was set back, there is none.
         """
-        if self.offset == 0.0 or self.time_constant == 0.0:
-            return 0.0
+        return sum(self._parts(time))
+
+    def _parts(self, time: int) -> tuple[float, float]:
+        """Return what is left of the offset, and of what is passing."""
+        if (self.offset == 0.0 and self.passing == 0.0) or self.time_constant == 0.0:
+            return 0.0, 0.0
         age = (time - self.since) * 1e-9 / self.time_constant
-        factor = math.exp(-max(age, 0.0)) if age > -1.0 else 0.0
-        return self.offset * factor if factor >= _GONE else 0.0
+        if age <= -1.0:
+            return 0.0, 0.0
+        factor = math.exp(-max(age, 0.0))
+        return self.offset * factor if factor >= _GONE else 0.0, \
+            self.passing * (1.0 - min(max(age / _SOON, 0.0), 1.0))**2
 
     def active(self, time: int) -> bool:
         """Tell whether anything is left of the offset."""
@@ -74,4 +86,6 @@ class Bumpless:
 
     def with_time_constant(self, time_constant: float, time: int) -> Bumpless:
         """Let what is left decay with another time constant [s] from now on."""
-        return replace(self, time_constant=time_constant, offset=self.left(time), since=time)
+        offset, passing = self._parts(time)
+        return replace(self, time_constant=time_constant, offset=offset, passing=passing,
+                       since=time)

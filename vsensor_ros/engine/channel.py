@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
-from vsensor_ros.bank import Angle
+from vsensor_ros.bank import Angle, Disagreement
 from vsensor_ros.engine.bumpless import Bumpless
 from vsensor_ros.engine.decision import Decision, Source
 from vsensor_ros.reason import Reason
@@ -59,7 +59,7 @@ class Channel:
         return NONE, self.why or decision.reason
 
     def serve(self, source: str, fault_set: tuple[str, ...], value: float, now: int,
-              above: float | None = None, deviation: float = 0.0, run: str = '') -> float:
+              above: Disagreement | None = None, deviation: float = 0.0, run: str = '') -> float:
         """
         Return what is to go out for the value of a source, which may be another one than before.
 
@@ -67,23 +67,28 @@ class Channel:
         it is no switch.
 
         above: by how much the old source lies above the new one, NaN if that is not known; None:
-        by what went out last. There is no offset to what was no value, or is too long ago. From
-        one virtual sensor to a surer one it is at most the deviation of that: the error of the
-        old one is not to burden it. What wraps is put into its driver's range, but for a reading
-        with nothing added.
+        by what went out last. There is no offset to what was no value, or is too long ago. What
+        may be a fault passes soon. So does, from one virtual sensor to a surer one, or from one
+        run to another, what is beyond the deviation of that: the error of the old one is not to
+        burden it. What wraps is put into its driver's range, but for a reading with nothing added.
         """
         turned = (source, fault_set) != (self.source, self.fault_set)
         if turned or run != self.run:
-            before = offset = math.nan
+            before, usual, rest = math.nan, math.nan, math.nan
             if self.source != NONE and self.sent is not None and now - self.sent <= self.max_age:
                 before = self.value
-                offset = self.shortest(
-                    before - value if above is None else above + self.blend.left(now))
-                if turned and self.source == source == VIRTUAL and deviation < self.deviation:
-                    offset = max(-deviation, min(offset, deviation))
+                if above is None:
+                    whole = usual = self.shortest(before - value)
+                    if not turned or (self.source == source == VIRTUAL
+                                      and deviation < self.deviation):
+                        usual = max(-deviation, min(usual, deviation))
+                else:
+                    usual = above.usual
+                    whole = self.shortest(usual + above.rest + self.blend.left(now))
+                rest = whole - usual
             if turned:
                 self._turn(source, fault_set, now)
-            self.blend, self.run = self.blend.begin(now, offset, before), run
+            self.blend, self.run = self.blend.begin(now, usual, before, rest), run
         output = self.blend.add(value, now)
         if self.angle is None:
             self.blend = self.blend.sent(output)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 import math
 
-from vsensor_ros.bank import Bank
+from vsensor_ros.bank import Bank, Disagreement
 from vsensor_ros.engine.channel import Channel, REAL, VIRTUAL
 from vsensor_ros.engine.choice import BETTER
 from vsensor_ros.engine.clock import Clock
@@ -20,6 +20,7 @@ from vsensor_ros.reason import Reason
 
 OUT_OF_LINE = 4.0  # standard deviations
 LATE = 0.1  # s that stamps may be off before one speaks of clocks
+UNKNOWN = Disagreement(math.nan, math.nan)
 
 
 class StandIn:
@@ -164,15 +165,14 @@ class StandIn:
             return None
         above, deviation = None, self._bank.deviation(fault_set, channel.name)
         if channel.source == REAL:  # what went out last may be the fault
-            known = self._bank.disagreement(fault_set, channel.name)
-            above = math.nan if known is None else known
+            above = self._bank.disagreement(fault_set, channel.name) or UNKNOWN
         elif channel.source == VIRTUAL and fault_set != channel.fault_set:
             old = self._bank.entry(channel.fault_set, channel.name)
             reads = () if old is None or isinstance(old, Refusal) else old.reads
             left = channel.shortest(
                 channel.value - channel.blend.left(self._clock.lasting()) - value)
-            if not set(distrusted).isdisjoint(reads) and abs(left) > OUT_OF_LINE * deviation:
-                above = math.nan  # what it read was faulty already
+            if not set(distrusted).isdisjoint(reads):  # what it read may be the fault
+                above = UNKNOWN if abs(left) > OUT_OF_LINE * deviation else Disagreement(0.0, left)
         entry = self._bank.entry(fault_set, channel.name)
         assert entry is not None and not isinstance(entry, Refusal)  # for it has an estimate
         return Wanted(value, fault_set, deviation, self._bank.interval(fault_set, channel.name),

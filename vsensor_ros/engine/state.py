@@ -23,7 +23,7 @@ class ChannelState:
     unit: str  # '' when the design gives none
     source: str  # 'real', 'silent' (healthy, but not heard), 'virtual' or 'none'
     reason: Reason | None  # why, and what goes out instead; None: nothing to be said
-    fault_set: tuple[str, ...]  # of the virtual sensor that serves; else the effective faulty set
+    fault_set: tuple[str, ...]  # of the virtual sensor that serves; all that is faulty with 'none'
     grade: str  # of that virtual sensor; '' when none serves
     value: float  # that went out last; NaN when none did
     deviation: float  # its standard deviation; 0 of a real one, inf when not known

@@ -118,7 +118,7 @@ class View:
         elif source == NONE:
             value = math.nan
         else:
-            deviation = 0.0
+            deviation, fault_set = 0.0, ()
             if stream.plain:
                 value = stream.heard.latest(name)
         if decision.source is not Source.REAL:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 import math
 from typing import NamedTuple
 
+from vsensor_ros.bank import Disagreement
+
 
 class Wanted(NamedTuple):
     """What is to go out for a failed channel."""
@@ -15,7 +17,7 @@ class Wanted(NamedTuple):
     deviation: float = math.inf  # standard deviation; inf when not known
     interval: tuple[float, float] | None = None  # in which the truth lies
     grade: str = ''
-    above: float | None = None  # see Channel.serve
+    above: Disagreement | None = None  # see Channel.serve
     run: str = ''  # of the virtual sensor
 
 

@@ -90,11 +90,11 @@ def mends(name: str, reason: Reason, origins: Mapping[str, Origin]) -> list[str]
 
 
 def worth(channel: ChannelState) -> str:
-    """Say what a reserve would be good for now, or that it could not serve."""
+    """Say what a reserve is good for, or would be now, or that it could not serve."""
     name, unit = channel.name, channel.unit
     if channel.reserve is not None:
         return f'{name} {without_reserve(name, channel.reserve, {})[0]}'
-    text = f'{name} could be replaced now'
+    text = f'{name} is replaced' if channel.serves else f'{name} could be replaced now'
     if math.isfinite(channel.reserve_deviation):
         text += f', to {channel.reserve_deviation:.2g} {unit}'.rstrip()
     if math.isfinite(channel.remaining_s):
