@@ -15,11 +15,13 @@ from itertools import product
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
+from vsensor_ros.designer.certificate import certify
 from vsensor_ros.designer.invariant_spaces import filter_candidate
 from vsensor_ros.designer.isolability import blind_to, Checks, checks
 from vsensor_ros.designer.natural_size import couplings
 from vsensor_ros.designer.noise import Filter, kalman, noise_model, NoiseModel
 from vsensor_ros.designer.observer import build
+from vsensor_ros.designer.start import started
 from vsensor_ros.observers import Noise, STRONG, VirtualSensor
 from vsensor_ros.plant import Plant
 
@@ -126,4 +128,7 @@ def _built(found: Checks, noise: NoiseModel, L: np.ndarray, row: np.ndarray,
     candidate = filter_candidate(
         known, Filter(L, -row[None, :] @ known.E, row[None, :], np.nan), found.arguments)
     made = build(problem, candidate, 'dedicated filter')
-    return made and replace(made, noise=Noise(1.0, 1.0, noise.assumed))
+    if made is None:
+        return None
+    return replace(started(problem, made), noise=Noise(1.0, 1.0, noise.assumed),
+                   certificate=certify(problem.plant, made))

@@ -24,7 +24,6 @@ from vsensor_ros.designer.existence import (
     examine,
     measured_signs,
 )
-from vsensor_ros.designer.isolability import blind_to
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.problem import pose, Problem
@@ -64,8 +63,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``isolate``: design, too, what tells whose fault it is, see
-    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next. Raises
-    BadInput for what is not a name of a sensor or a choice. Source: method, section 3.
+    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
+    Raises BadInput for what is not a name of a sensor or a choice. Source: method, section 3.
     """
     _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary,
                                           'isolate': isolate})
@@ -73,8 +72,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
         plain = partial(design, plant, prefer=prefer, decay=decay, bounded=bounded, method=method,
                         temporary=temporary, progress=progress)
         with _calmly():
-            return isolated(plant, plain(fault_sets, up_to=up_to, wanted=wanted), plain,
-                            lambda v: certified(blind_to(plant, v.fault_set), v), progress)
+            return isolated(plant, plain(fault_sets, up_to=up_to, wanted=wanted), plain, progress)
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
     entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}

@@ -4,8 +4,8 @@ Which sensor's fault can be told from which others, by any residuals that a plan
 A fault of j can be told from faults of others iff some residual reads j, reads none of the others,
 and is not disturbed by unknown inputs: faults add to readings, so whom a residual does not read it
 does not feel. All residuals that do not read the others are filtered innovations of one observer,
-on the observable part of the quotient that the virtual sensors without the others stand on. Source:
-method 3.13.
+on the observable part of the quotient that the virtual sensors without the others stand on.
+Source: method 3.13.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class Checks:
         h = problem.plant.sample_time
         ways = np.hstack([known.J, self.through_terms])
         R = np.hstack([known.R, np.zeros_like(known.R)])
-        shows = responds(known.A, ways, -known.E, R, h).reshape(2, -1).any(axis=0)
+        linear, by_terms = np.split(responds(known.A, ways, -known.E, R, h), 2)
+        shows = linear | by_terms
         still = known.A - problem.still * np.eye(known.order)
         moving = np.linalg.norm(np.hstack([still, known.J]), 2) if known.order else 0.0
         size = max(float(moving), SLOW * problem.speed, np.finfo(float).tiny)

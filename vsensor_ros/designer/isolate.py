@@ -8,19 +8,18 @@ from itertools import chain
 
 from vsensor_ros.designer.dedicated import dedicated
 from vsensor_ros.designer.existence import examine
+from vsensor_ros.designer.gaps import gaps
 from vsensor_ros.designer.isolability import distinctions
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.designer.residuals import residual, residuals
+from vsensor_ros.designer.sentences import say
 from vsensor_ros.observers import (
     Design,
     Distinction,
-    Entry,
     Isolability,
     NONE,
     Residual,
     STRENGTHS,
-    STRONG,
-    VirtualSensor,
     WEAK,
 )
 from vsensor_ros.plant import Plant
@@ -28,7 +27,6 @@ from vsensor_ros.plant import Plant
 
 def isolated(plant: Plant, designed: Design,
              again: Callable[[list[tuple[str, ...]]], Design],
-             certified: Callable[[VirtualSensor], VirtualSensor | Refusal],
              progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Return a design whose residuals isolate all that its plant allows, and that says what it is.
@@ -50,13 +48,13 @@ def isolated(plant: Plant, designed: Design,
             progress(done, len(sets), f'a filter without {", ".join(others) or "a fault"}')
         missing = _missing(found, (d for d in plant_allows if d.others == others))
         if missing:
-            filters = [certified(f) for f in dedicated(
-                plant, others, {d.sensor: d.strength for d in missing})]
+            filters = dedicated(plant, others, {d.sensor: d.strength for d in missing})
             more = _agreed((residual(plant, f) for f in filters), plant_allows)
             found = replace(found, residuals=(*found.residuals, *more),
                             filters={**found.filters, **{f.channel: f for f in filters}})
     if progress is not None:
         progress(len(sets), len(sets), 'done')
+    found = replace(found, gaps=tuple(say(gap) for gap in gaps(plant, found)))
     return Design(**{**vars(designed), 'isolability': found})
 
 
@@ -70,7 +68,7 @@ def _pairs(plant: Plant, designed: Design,
            allowed: tuple[Distinction, ...]) -> list[tuple[str, ...]]:
     """Return the pairs whose virtual sensors tell one from the other, which nothing does yet."""
     found = Isolability(_agreed(residuals(plant, designed.each_once()), allowed))
-    pairs = {}
+    pairs: dict[tuple[str, ...], None] = {}
     for d in _missing(found, (d for d in allowed if len(d.others) == 1)):
         pair = tuple(s for s in plant.sensors if s in (d.sensor, *d.others))
         # one that serves for a time would read both while it tracks
@@ -86,7 +84,7 @@ def _agreed(made: Iterable[Residual], allowed: tuple[Distinction, ...]) -> tuple
     weak = {(d.sensor, d.others) for d in allowed if d.strength == WEAK}
     agreed = []
     for r in made:
-        gains = {s: gain for s, gain in zip(r.support, r.gains)}
+        gains = dict(zip(r.support, r.gains))
         apart = [d.others for d in allowed if not set(d.others) & set(r.support)]
         for s, others in set(chain.from_iterable(((s, o) for o in apart) for s in r.support)):
             if (s, others) in none:

@@ -19,7 +19,7 @@ DAY = 86400.0  # s
 
 
 def residuals(plant: Plant, entries: Iterable[Entry | Refusal]) -> tuple[Residual, ...]:
-    """Return the residuals ``y - vhat`` of all virtual sensors that unknown inputs do not reach."""
+    """Return the residuals ``y - vhat`` of virtual sensors that no unknown input reaches."""
     return tuple(residual(plant, entry) for entry in entries
                  if not isinstance(entry, Refusal) and entry.grade != 'bounded'
                  and entry.channel in plant.sensors)
@@ -38,14 +38,14 @@ def residual(plant: Plant, entry: Entry) -> Residual:
     if isinstance(entry, VirtualSensor):
         felt = _felt(plant, entry, own)
     else:  # of another kind nobody knows here what it does with its readings
-        felt = dict.fromkeys((*entry.reads, *((own,) if own else ())))
+        felt = dict.fromkeys((*entry.reads, *((own,) if own else ())), None)
     support = tuple(s for s in plant.sensors if s in felt)
     noise, assumed = _noise(plant, entry, own)
     return Residual(name, entry.fault_set, entry.channel, support,
                     tuple(felt[s] for s in support), noise, noise * _once_a_day(plant), assumed)
 
 
-def _felt(plant: Plant, entry: VirtualSensor, own: str | None) -> dict[str, float]:
+def _felt(plant: Plant, entry: VirtualSensor, own: str | None) -> dict[str, float | None]:
     """Return whom a residual feels, and what a constant fault of one makes of it in the end."""
     # while its channel is believed a temporary one tracks: its residual is an innovation
     v = tracker(entry) if entry.grade == 'temporary' else entry
@@ -58,9 +58,10 @@ def _felt(plant: Plant, entry: VirtualSensor, own: str | None) -> dict[str, floa
         E, R = -E, np.array([[float(s == own) for s in v.healthy]]) - R
     # in natural coordinates of z, so that no sum is rounding but by its own parts
     ways = np.hstack([J, through])
-    moves = responds(N, ways, E, np.hstack([R, np.zeros_like(R)]), h).reshape(2, -1).any(axis=0)
+    moves = np.any(np.split(responds(N, ways, E, np.hstack([R, np.zeros_like(R)]), h), 2), axis=0)
     ends = constant(N, J, E, R, h)[0]
-    felt = {s: float(end) for s, end, moved in zip(v.healthy, ends, moves) if moved}
+    felt: dict[str, float | None] = {
+        s: float(end) for s, end, moved in zip(v.healthy, ends, moves.tolist()) if moved}
     if own is not None and own not in v.healthy:  # nothing but itself says what it says
         felt[own] = 1.0
     return felt

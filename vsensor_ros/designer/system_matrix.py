@@ -1,13 +1,13 @@
 """
 How faults of sensors show, by ranks of the system matrix, in exact arithmetic.
 
-A residual that does not feel the unknown inputs nor any start is a left null vector ``(w, h)(s)``
-of ``P(s) = [A - s, D; C, Cd]``, whose h says what it makes of the readings. Sensors that it may not
+A residual that feels neither unknown inputs nor any start is a left null vector ``(w, h)(s)`` of
+``P(s) = [A - s, D; C, Cd]``, whose h says what it makes of the readings. Sensors that it may not
 read are no rows of C. So a fault of sensor j shows iff some h_j is not zero, which is the rank of
-``[P, e_j]`` above that of P at any s but a few; and a constant one stays visible iff some polynomial
-h has ``h_j(0)`` not zero. Where P(s) loses no rank at s = 0 (discrete: z = 1) that is the same rank
-there; else only null vectors of P(0) count that go on to ones of P(s) nearby, of which there are as
-many as power series ``w0 + w1 s + ..`` with n more coefficients.
+``[P, e_j]`` above that of P at any s but a few. A constant one stays visible iff some polynomial h
+has ``h_j(0)`` not zero. Where P(s) loses no rank at s = 0 (discrete: z = 1) that is the same rank
+there. Else only those null vectors of P(0) count that go on to ones of P(s) nearby: the first of
+power series ``w0 + w1 s + ..`` of n + 1 coefficients.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def strengths(A: np.ndarray, C: np.ndarray, D: np.ndarray, Cd: np.ndarray,
         n = len(A)
         answer = tuple(
             STRONG if stay else WEAK if any_ else NONE
-            for stay, any_ in zip(stays[n:].any(axis=1), at_all[n:].any(axis=1)))
+            for stay, any_ in zip(map(np.any, stays[n:]), map(np.any, at_all[n:])))
         if answer in said:
             return answer
         said.append(answer)
