@@ -183,8 +183,8 @@ def test_who_knows_less_tells_less(plant):
     for pair, how in told(plant, [(a, b) for i, a in enumerate(names)
                                   for b in names[i + 1:] if len(names) > 2]).items():
         assert STRENGTHS.index(how) <= min(STRENGTHS.index(less[pair[0], o]) for o in pair[1:])
-    for (s, *others), how in less.items():
-        assert STRENGTHS.index(how) <= STRENGTHS.index(less[s,])
+    for pair, how in less.items():
+        assert STRENGTHS.index(how) <= STRENGTHS.index(less[pair[:1]])
     units = 10.0 ** np.arange(-2, -2 + len(plant.A))
     other = Plant.from_matrices(
         plant.A / units[:, None] * units, None, plant.C * units * 1e3,
@@ -336,8 +336,9 @@ def test_as_decided_with_the_sensor_really_added(plant):
     now = told(plant)
     for place in locations(plant, isolate=True):
         wider = Plant.from_matrices(
-            plant.A, None, np.vstack([plant.C, place.row]), D=plant.D, sample_time=plant.sample_time,
-            sensors=(*plant.sensors, 'new'), Cd=np.vstack([plant.Cd, np.zeros(plant.Cd.shape[1])]))
+            plant.A, None, np.vstack([plant.C, place.row]), D=plant.D,
+            sensors=(*plant.sensors, 'new'), sample_time=plant.sample_time,
+            Cd=np.vstack([plant.Cd, np.zeros(plant.Cd.shape[1])]))
         then = told(wider, [(), *((s,) for s in plant.sensors)])
         assert set(place.isolable) == {
             (tuple(pair[1:]), pair[0]) for pair, how in now.items()

@@ -9,7 +9,7 @@ which faults of all that it is to tell stand out most, in standard deviations. S
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -29,28 +29,43 @@ APART = 0.2  # of what the best combination for one fault makes of it: enough in
 MOST_SIGNS = 8  # faults of which all signs are tried
 
 
-def dedicated(plant: Plant, others: tuple[str, ...],
-              wanted: Mapping[str, str]) -> tuple[VirtualSensor, ...]:
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """The steady Kalman filter that does not read some sensors, and what it does not expect."""
+
+    found: Checks
+    noise: NoiseModel
+    L: np.ndarray  # (r, c) its gain
+    spread: np.ndarray  # (c, c) covariance of the innovations of single readings
+
+    def sharpness(self, wanted: Mapping[str, str]) -> dict[str, float]:
+        """Return by how many standard deviations a fault of 1 shows at best, by sensor."""
+        white = _white(self.spread)
+        return dict(zip(wanted, np.linalg.norm(white.T @ _seen(self, wanted), axis=0).tolist()))
+
+
+def innovations(plant: Plant, others: tuple[str, ...]) -> Innovations | None:
+    """Return the filter that reads all but ``others``; None where there is no steady one."""
+    found = checks(blind_to(plant, others))
+    noise = noise_model(found.problem)
+    steady = kalman(found.slopes, noise)
+    spread = None if steady is None else _spread(found, noise, steady.L)
+    return None if steady is None or spread is None else Innovations(
+        found, noise, steady.L, spread)
+
+
+def dedicated(of: Innovations, wanted: Mapping[str, str]) -> tuple[VirtualSensor, ...]:
     """
-    Return filters that do not read ``others``, whose outputs show faults of wanted sensors.
+    Return filters whose outputs show faults of wanted sensors, of those it may read.
 
     ``wanted``: how the faults are to show, by sensor: 'strong' or 'weak'. One filter where one
     residual shows all; each has noise of standard deviation 1. Empty where none passes its checks.
     """
-    found = checks(blind_to(plant, others))
-    noise = noise_model(found.problem)
-    steady = kalman(found.slopes, noise)
-    if steady is None:
-        return ()
-    spread = _spread(found, noise, steady.L)
-    if spread is None:
-        return ()
-    faults = _seen(found, steady.L, wanted) @ np.diag(
-        noise.reading[[found.problem.healthy.index(s) for s in wanted]])
+    others = of.found.problem.fault_set
     name = f'without {", ".join(others)}' if others else 'of all'
     filters: list[VirtualSensor] = []
-    for i, row in enumerate(_rows(faults, spread)):
-        made = _built(found, noise, steady.L, row, name if i == 0 else f'{name} ({i + 1})')
+    for i, row in enumerate(_rows(_seen(of, wanted), _white(of.spread))):
+        made = _built(of, row, name if i == 0 else f'{name} ({i + 1})')
         filters += [] if made is None else [made]
     return tuple(filters)
 
@@ -72,32 +87,35 @@ def _spread(found: Checks, noise: NoiseModel, L: np.ndarray) -> np.ndarray | Non
     return S if np.isfinite(S).all() else None
 
 
-def _seen(found: Checks, L: np.ndarray, wanted: Mapping[str, str]) -> np.ndarray:
+def _white(spread: np.ndarray) -> np.ndarray:
+    """Return columns that make of the innovations uncorrelated ones of deviation 1 (c, c)."""
+    values, vectors = np.linalg.eigh(spread)
+    least = 1e-12 * max(values.max(initial=0.0), np.finfo(float).tiny)
+    return np.asarray(vectors / np.sqrt(np.maximum(values, least)))
+
+
+def _seen(of: Innovations, wanted: Mapping[str, str]) -> np.ndarray:
     """
-    Return what faults of one make of the innovations (c, w): in the end, or while they are new.
+    Return what a fault of 1 makes of the innovations (c, w): in the end, or while it is new.
 
     New: over the plant's mean time constant, where nothing is left in the end.
     """
-    known, h = found.slopes, found.problem.plant.sample_time
-    rate = couplings(found.problem.plant).mean_rate
-    still = found.problem.still
+    found, known, problem = of.found, of.found.slopes, of.found.problem
+    rate, h = couplings(problem.plant).mean_rate, problem.plant.sample_time
     new = rate if h is None else np.exp(rate * h)
-    columns = []
+    N = known.A - of.L @ known.E
+    columns = [np.zeros((len(known.R), 0))]
     for sensor, how in wanted.items():
         j = found.problem.healthy.index(sensor)
-        s = still if how == STRONG else new
-        drive = known.J[:, j] + L @ known.R[:, j]
-        N = known.A - L @ known.E
-        columns.append(known.R[:, j] - known.E @ np.linalg.solve(
-            s * np.eye(known.order) - N, drive))
-    return np.stack(columns, axis=1)
+        s = problem.still if how == STRONG else new
+        moved = np.linalg.solve(s * np.eye(known.order) - N,
+                                known.J[:, [j]] + of.L @ known.R[:, [j]])
+        columns.append((known.R[:, [j]] - known.E @ moved) / problem.y0_size[j])
+    return np.hstack(columns)
 
 
-def _rows(faults: np.ndarray, spread: np.ndarray) -> list[np.ndarray]:
+def _rows(faults: np.ndarray, white: np.ndarray) -> list[np.ndarray]:
     """Return combinations (c,) of innovations of deviation 1 that show all faults (c, w)."""
-    values, vectors = np.linalg.eigh(spread)
-    values = np.maximum(values, 1e-12 * max(values.max(initial=0.0), np.finfo(float).tiny))
-    white = vectors / np.sqrt(values)  # q = white p has deviation |p|
     u = white.T @ faults
     u = u / np.maximum(np.linalg.norm(u, axis=0), np.finfo(float).tiny)
     rows = []
@@ -120,15 +138,15 @@ def _mixed(u: np.ndarray) -> list[np.ndarray]:
     return [p / size for p in mixed if (size := np.linalg.norm(p)) > 1e-9]
 
 
-def _built(found: Checks, noise: NoiseModel, L: np.ndarray, row: np.ndarray,
-           name: str) -> VirtualSensor | None:
+def _built(of: Innovations, row: np.ndarray, name: str) -> VirtualSensor | None:
     """Build the filter whose output ``row (R y0 - E xi)`` is an estimate of nothing."""
-    problem, l0 = replace(found.problem, channel=name), len(found.problem.healthy)
-    known = replace(found.known, v=np.zeros((1, found.known.order)), q=np.zeros((1, l0)))
+    problem = replace(of.found.problem, channel=name)
+    known = replace(of.found.known, v=np.zeros((1, of.found.known.order)),
+                    q=np.zeros((1, len(problem.healthy))))
     candidate = filter_candidate(
-        known, Filter(L, -row[None, :] @ known.E, row[None, :], np.nan), found.arguments)
+        known, Filter(of.L, -row[None, :] @ known.E, row[None, :], np.nan), of.found.arguments)
     made = build(problem, candidate, 'dedicated filter')
     if made is None:
         return None
-    return replace(started(problem, made), noise=Noise(1.0, 1.0, noise.assumed),
+    return replace(started(problem, made), noise=Noise(1.0, 1.0, of.noise.assumed),
                    certificate=certify(problem.plant, made))

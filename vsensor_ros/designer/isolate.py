@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import chain
 
-from vsensor_ros.designer.dedicated import dedicated
+from vsensor_ros.designer.dedicated import APART, dedicated, Innovations, innovations
 from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.gaps import gaps
 from vsensor_ros.designer.isolability import distinctions
@@ -20,6 +20,7 @@ from vsensor_ros.observers import (
     NONE,
     Residual,
     STRENGTHS,
+    STRONG,
     WEAK,
 )
 from vsensor_ros.plant import Plant
@@ -46,12 +47,15 @@ def isolated(plant: Plant, designed: Design,
     for done, others in enumerate(sets):
         if progress is not None:
             progress(done, len(sets), f'a filter without {", ".join(others) or "a fault"}')
-        missing = _missing(found, (d for d in plant_allows if d.others == others))
-        if missing:
-            filters = dedicated(plant, others, {d.sensor: d.strength for d in missing})
-            more = _agreed((residual(plant, f) for f in filters), plant_allows)
-            found = replace(found, residuals=(*found.residuals, *more),
-                            filters={**found.filters, **{f.channel: f for f in filters}})
+        wanted = [d for d in plant_allows if d.others == others and d.strength != NONE]
+        of = innovations(plant, others) if wanted else None
+        if of is None:
+            continue
+        poor = _poor(found, of, wanted)
+        filters = dedicated(of, {d.sensor: d.strength for d in poor}) if poor else ()
+        more = _agreed((residual(plant, f) for f in filters), plant_allows)
+        found = replace(found, residuals=(*found.residuals, *more),
+                        filters={**found.filters, **{f.channel: f for f in filters}})
     if progress is not None:
         progress(len(sets), len(sets), 'done')
     found = replace(found, gaps=tuple(say(gap) for gap in gaps(plant, found)))
@@ -62,6 +66,16 @@ def _missing(found: Isolability, wanted: Iterable[Distinction]) -> list[Distinct
     """Return what the plant allows and the residuals do not do."""
     return [d for d in wanted if STRENGTHS.index(d.strength) > STRENGTHS.index(
         found.by_residuals(d.sensor, d.others))]
+
+
+def _poor(found: Isolability, of: Innovations,
+          wanted: list[Distinction]) -> list[Distinction]:
+    """Return what is not told as the plant allows, or far less sharply than the filter would."""
+    sharpest = of.sharpness({d.sensor: d.strength for d in wanted})
+    missing = _missing(found, wanted)
+    return [d for d in wanted if d in missing or (
+        d.strength == STRONG
+        and found.sharpness(d.sensor, d.others) < APART * sharpest[d.sensor])]
 
 
 def _pairs(plant: Plant, designed: Design,

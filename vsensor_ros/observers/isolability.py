@@ -64,3 +64,9 @@ class Isolability:
         """Return how well these residuals tell a fault of a sensor from faults of others."""
         return max((r.shows(sensor) for r in self.residuals
                     if not set(others) & set(r.support)), key=STRENGTHS.index, default=NONE)
+
+    def sharpness(self, sensor: str, others: Iterable[str] = ()) -> float:
+        """Return by how many standard deviations a constant fault of 1 shows, beside others'."""
+        return max((abs(r.gains[r.support.index(sensor)] or 0.0) / r.noise
+                    for r in self.residuals if r.noise > 0.0 and sensor in r.support
+                    and not set(others) & set(r.support)), default=0.0)
