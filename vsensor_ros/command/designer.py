@@ -73,10 +73,11 @@ def _design(options: argparse.Namespace, work: str | None) -> str:
             _remove(work)
         if progress is not None and options.locate:
             progress(0, 1, 'places for one more sensor')
-        places = (locations(plant, up_to=max(map(len, result.fault_sets)))
+        places = (locations(plant, up_to=max(map(len, result.fault_sets)),
+                            isolate=options.isolate)
                   if options.locate else None)
         minded = advice(plant, result, lambda other, lost: design(
-            other, [lost], **{**_choices(options), 'up_to': None}))
+            other, [lost], **{**_choices(options), 'up_to': None, 'isolate': False}))
         written = f'written to {options.output}'
         if options.report:
             path = write_report(options.report, plant, result, places, progress, minded)
@@ -129,6 +130,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--no-temporary', dest='temporary', action='store_false', default=None,
                         help='refuse where a virtual sensor would serve for a time only, because '
                         'a mode stays that no healthy sensor sees')
+    parser.add_argument('--isolate', action='store_true',
+                        help='say whose fault can be told from whose, and design what tells it: '
+                        'pairs, and filters that read all sensors but one')
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
@@ -156,7 +160,8 @@ def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
     names = ('up_to', 'prefer', 'decay', 'method', 'temporary')
     chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
-    return {**chosen, 'bounded': True} if options.bounded else chosen
+    flags = ('bounded', 'isolate')
+    return {**chosen, **{name: True for name in flags if getattr(options, name)}}
 
 
 def _check_files(options: argparse.Namespace) -> None:

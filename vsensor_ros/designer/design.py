@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from concurrent.futures import Executor, Future
 from contextlib import closing, nullcontext
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from vsensor_ros.designer.existence import (
     Existence,
     measured_signs,
 )
+from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.order_walk import LARGE
 from vsensor_ros.designer.problem import pose, Problem
@@ -61,7 +63,7 @@ class Choices(NamedTuple):
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None, temporary: bool = True,
+           method: str | None = None, temporary: bool = True, isolate: bool = False,
            progress: Progress | None = None,
            executor: Executor | None = None, work_file: str | Path | None = None) -> Design:
     """
@@ -77,17 +79,25 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``progress`` is told what is done, of how many, and what is next.
+    after its channel was lost. ``isolate``: design, too, what tells whose fault it is, see
+    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
     ``executor``: who does the work, with the same result (`designer/sweep.py`). ``work_file``:
     answers are kept there as they come, and those that it holds are not sought again.
     Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some channels
     met an error or a worker that died. Source: method, section 3.
     """
     choices = Choices(prefer, decay, bounded, method, temporary)
-    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary})
+    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary,
+                                          'isolate': isolate})
     if not isinstance(executor, Executor | None):
         raise BadInput('design', 'executor', f'{shown(executor)} is not an executor',
                        'give a concurrent.futures.Executor, such as Client.get_executor() of Dask')
+    if isolate:
+        plain = partial(design, plant, prefer=prefer, decay=decay, bounded=bounded, method=method,
+                        temporary=temporary, progress=progress, executor=executor)
+        asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
+        with calmly():
+            return isolated(plant, asked, plain, progress)
     functionals = _functionals(plant, wanted)
     sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
     keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]

@@ -57,6 +57,20 @@ class Design(Contents):
         """All refusals."""
         return tuple(e for e in self.entries.values() if isinstance(e, Refusal))
 
+    def isolating(self) -> Design:
+        """
+        Return the observers of the residuals as a design of their own, to be run for isolation.
+
+        Dedicated filters are wanted functionals there: what they estimate is their residual.
+        """
+        if self.isolability is None:
+            return Design(**{**vars(self), 'entries': {}, 'wanted': ()})
+        filters = self.isolability.filters
+        entries = {(r.fault_set, r.channel): filters.get(r.channel)
+                   or self.entries[r.fault_set, r.channel] for r in self.isolability.residuals}
+        return Design(**{**vars(self), 'entries': entries, 'wanted': tuple(filters),
+                         'isolability': None})
+
     def save(self, path: str | Path) -> None:
         """
         Write the design file; the old file stays whole until the new one is complete.
