@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.control import closed_loop, load_controller
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import METHODS
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _check_files(options)
         plant = load_plant(options.plant)
+        controller = load_controller(options.controller, plant) if options.controller else None
         asked = _fault_sets('--details', options.details)
         result = design(plant, _fault_sets('--fault-set', options.fault_set),
                         progress=progress, **_choices(options))
@@ -40,14 +42,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             progress(0, 1, 'places for one more sensor')
         places = (locations(plant, up_to=max(map(len, result.fault_sets)))
                   if options.locate else None)
+        if progress is not None and controller is not None:
+            progress(0, 1, 'closing the loop')
+        loop = None if controller is None else closed_loop(
+            plant, result, controller, options.uncertainty)
         written = f'written to {options.output}'
         if options.report:
-            path = write_report(options.report, plant, result, places, progress)
+            path = write_report(options.report, plant, result, places, progress, loop)
             written += f', the report to {path}'
         _clear(progress)
         minded = advice(plant, result, lambda other, lost: design(
             other, [lost], **{**_choices(options), 'up_to': None}))
-        _say(f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}')
+        _say(f'{answer(result, blocks, places, plant, minded, loop)}\n{closing(result)}; '
+             f'{written}')
     except BadInput as error:
         _clear(progress)
         print(f'designer: {error}', file=sys.stderr)
@@ -90,6 +97,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help='write a report, too: one HTML file, or a folder that will hold it')
     parser.add_argument('--locate', action='store_true',
                         help='say which one more sensor would let you lose the most others')
+    parser.add_argument('--controller', metavar='FILE',
+                        help='close the loop with a controller file (YAML), with all sensors '
+                        'healthy and with each fault set replaced: poles, sensitivity, noise')
+    parser.add_argument('--uncertainty', metavar='SHARE',
+                        help='look at that loop where the parameters are off, too: 10%% (all of '
+                        'the plant file), or mass=10%%,length=5%%')
     parser.add_argument('--details', metavar='SENSORS', action='append',
                         help='print what was found for this fault set (with commas between), or '
                         f"'all'; needed where there are more than {MOST_BLOCKS}")
@@ -105,13 +118,19 @@ def _choices(options: argparse.Namespace) -> dict[str, Any]:
 
 def _check_files(options: argparse.Namespace) -> None:
     given = {'PLANT': options.plant, '-o': options.output}
+    read = {'PLANT': 'the plant file'}
+    if options.controller is not None:
+        given['--controller'], read['--controller'] = options.controller, 'the controller file'
+    elif options.uncertainty is not None:
+        raise BadInput('--uncertainty', '', 'stands there without a controller',
+                       'name its file: --controller FILE')
     if options.report is not None:
         given['--report'] = options.report
     for what, path in given.items():
         if not path:
             raise BadInput(what, '', 'is empty', 'name a file')
-    outputs = [what for what in given if what != 'PLANT']
-    for what, other, whose in [(o, 'PLANT', 'the plant file') for o in outputs] + [
+    outputs = [what for what in given if what not in read]
+    for what, other, whose in [(o, r, read[r]) for o in outputs for r in read] + [
             (o, '-o', 'the design file') for o in outputs[1:]]:
         if _same(given[what], given[other]):
             raise BadInput(what, '', f'{given[what]} is {whose} itself', 'name another file')

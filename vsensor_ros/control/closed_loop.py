@@ -28,7 +28,7 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.plant.linear import slopes_of
 from vsensor_ros.plant.plant import suggestion
 
-BISECTIONS = 12  # of the way to the worst corner
+BISECTIONS = 12  # of the way to a corner
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,6 @@ class Corner:
 
     factors: Mapping[str, float]  # by parameter
     growth: float  # 1/s, of what grows fastest
-    share: float | None  # of the way there from which on the loop is unstable; None: it is not
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +45,8 @@ class Case:
     The loop with some sensors lost, and virtual sensors in their place.
 
     verdict: 'stable'; 'stays' (a mode neither dies out nor grows); 'for a time' (so, or growing,
-    and no reading holds it: the virtual sensor is temporary); 'unstable'; 'not closed' (see
-    reason). Poles are of s [1/s], or of z when the controller is sampled. Of a loop that is not
+    and no reading holds it: the virtual sensor is temporary); 'unstable'; 'not replaced' and
+    'not closed' (see reason). Poles are of s [1/s], or of z when the controller is sampled. Of a loop that is not
     stable, noise and sensitivity are not known: NaN.
     """
 
@@ -66,6 +65,8 @@ class Case:
     corner_poles: tuple[np.ndarray, ...] = ()  # at each corner
     unstable_corners: int = 0
     worst: Corner | None = None
+    # the least part of the way to a corner at which it is unstable; None: nowhere
+    unstable_from: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -187,7 +188,7 @@ def _case(plant: Plant, result: Design, controller: Controller, law: Law, errors
     entries = [result[lost, name] for name in needed]
     for entry in entries:
         if isinstance(entry, Refusal):
-            return Case(lost, 'not closed', f'there is no virtual sensor for {entry.channel}')
+            return Case(lost, 'not replaced', f'there is no virtual sensor for {entry.channel}')
         if not isinstance(entry, VirtualSensor):
             return Case(lost, 'not closed', f'the one for {entry.channel} is of the kind '
                         f'{entry.kind}, which is not looked at')
@@ -248,21 +249,28 @@ def _around(plant: Plant, law: Law, errors: Errors, controller: Controller,
         return poles, growth, growth > limit(poles, h)
 
     found = [at(other) for _, other in around]
-    worst = int(np.argmax([growth for _, growth, _ in found]))
-    factors, growth = around[worst][0], found[worst][1]
-    share = None
-    if found[worst][2]:
-        stable, share = 0.0, 1.0
-        for _ in range(BISECTIONS * (case.verdict != 'unstable')):
-            middle = 0.5 * (stable + share)
-            if at(varied(plant, {name: 1.0 + middle * (factor - 1.0)
-                                 for name, factor in factors.items()}))[2]:
-                share = middle
-            else:
-                stable = middle
+    by_growth = np.argsort([-growth for _, growth, _ in found], kind='stable')
+    worst = int(by_growth[0])
+    since: float | None = None
+    if case.verdict == 'unstable':
+        since = 0.0
+    elif found[worst][2]:
+        since = 1.0
+
+        def unstable(corner: int, part: float) -> bool:
+            return at(varied(plant, {name: 1.0 + part * (factor - 1.0)
+                                     for name, factor in around[corner][0].items()}))[2]
+        for corner in map(int, by_growth):
+            if not found[corner][2] or (since < 1.0 and not unstable(corner, since)):
+                continue
+            stable = 0.0
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (stable + since)
+                stable, since = ((stable, middle) if unstable(corner, middle)
+                                 else (middle, since))
     return replace(case, corner_poles=tuple(poles for poles, _, _ in found),
                    unstable_corners=sum(unstable for _, _, unstable in found),
-                   worst=Corner(factors, growth, share))
+                   worst=Corner(around[worst][0], found[worst][1]), unstable_from=since)
 
 
 def _modes(plant: Plant, sensors: Sequence[VirtualSensor], h: float | None) -> np.ndarray:
