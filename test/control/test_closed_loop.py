@@ -32,7 +32,7 @@ def carts(cart):
 
 
 class Bench:
-    """A plant, virtual sensors and a controller that run in time: nothing of the code it judges."""
+    """A plant, virtual sensors and a controller in time: nothing of the code that it judges."""
 
     def __init__(self, plant, sensors, controller, hears=1.0):
         self.plant, self.sensors, self.controller, self.hears = plant, sensors, controller, hears
@@ -81,8 +81,8 @@ class Bench:
             return slope(times, run.y.T)
         # what a period makes of each state and of each command that is held
         period = np.array([solve_ivp(
-            lambda _, x: self.moves(x, unit[n:]), (0.0, h), unit[:n], rtol=1e-11,
-            atol=1e-13).y[:, -1] for unit in np.eye(n + m)]).T
+            lambda _, x, u: self.moves(x, u), (0.0, h), unit[:n], rtol=1e-11,
+            atol=1e-13, args=(unit[n:],)).y[:, -1] for unit in np.eye(n + m)]).T
         state, s, states = start, np.zeros(r), []
         u = np.zeros(m)
         for _ in range(round(duration / h)):
@@ -125,7 +125,7 @@ def test_growth_at_the_worst_corner_is_that_of_a_simulation(cart, carts, sample_
     assert bench.growth(20.0) == pytest.approx(case.worst.growth, rel=0.01)
     # a little nearer than where it is said to become unstable there is no corner that grows
     for part, unstable in ((0.98, False), (1.02, True)):
-        nearer = {name: part * case.unstable_from * share for name in shares}
+        nearer = dict.fromkeys(shares, part * case.unstable_from * share)
         there = closed_loop(cart, carts, controller, nearer)['angle', 'rate']
         assert bool(there.unstable_corners) == unstable
 
@@ -339,6 +339,33 @@ def test_a_sampled_plant_is_its_continuous_original(delay):
     assert sampled.noise['u'] == pytest.approx(original.noise['u'], rel=1e-6)
 
 
+@pytest.mark.parametrize('every', [1, 3])
+def test_noise_of_a_sampled_plant_is_that_of_a_simulation(every):
+    """The virtual sensor takes in each reading, the controller each so manieth."""
+    plant = Plant.from_matrices([[0.9, 0.0], [0.1, 1.0]], [0.3, 0.0], np.eye(2), sample_time=0.05,
+                                sensors=('tacho', 'angle'), inputs=('u',), noise=[0.3, 0.02],
+                                process_noise=[0.03, 0.0])
+    result = design(plant, [('tacho',)])
+    vs = result['tacho', 'tacho']
+    controller = Controller.gain([[0.4, 0.5]], plant.sensors, plant.inputs,
+                                 sample_time=0.05 * every)
+    said = closed_loop(plant, result, controller)['tacho'].noise['u']
+    random, many = np.random.default_rng(3), 2000
+    x, z = np.zeros((2, many)), np.zeros((vs.order, many))
+    total, count = 0.0, 0
+    for k in range(600):
+        y = x + plant.noise[:, None] * random.standard_normal((2, many))
+        if k % every == 0:
+            told = vs.Cv @ z + vs.Q @ y[1:]
+            u = -0.4 * told - 0.5 * y[1:]
+            if k > 200:
+                total, count = total + np.sum(u**2), count + many
+        z = vs.N @ z + vs.J @ y[1:] + vs.B @ u
+        x = plant.A @ x + plant.B @ u + plant.process_noise[:, None] * random.standard_normal(
+            (2, many))
+    assert said == pytest.approx(np.sqrt(total / count), rel=0.02)
+
+
 def test_a_reading_of_the_command_is_that_of_the_command_before():
     """A torque that a sensor reads directly: when it is sampled, the new command is not there."""
     plant = motor(Cu=[[0.5], [0.0]])
@@ -354,7 +381,8 @@ def test_a_reading_of_the_command_is_that_of_the_command_before():
     both = expm(np.block([[plant.A, plant.B], [np.zeros((1, 3))]]) * h)
     law = np.array([[-0.4, -2.0, -0.2]])  # of x and of the command that is in the reading
     step = np.vstack([np.hstack([both[:2, :2], np.zeros((2, 1))]) + both[:2, 2:] @ law, law])
-    assert np.sort_complex(sampled.poles) == pytest.approx(np.sort_complex(np.linalg.eigvals(step)))
+    assert np.sort_complex(sampled.poles) == pytest.approx(
+        np.sort_complex(np.linalg.eigvals(step)))
     hopeless = Controller.gain([[-2.0, 2.0]], plant.sensors, plant.inputs)
     case = closed_loop(plant, result, hopeless).healthy
     assert case.verdict == 'not closed' and 'depends on itself' in case.reason
@@ -431,8 +459,8 @@ def test_the_controllers_that_are_shipped(folder):
 def test_the_cart_poles_controller_is_that_of_the_demo(cart):
     controller = load_controller(CART_POLE / 'controller.yaml', cart)
     K = Law.of(cart, load_balance(CART_POLE / 'demo.yaml', cart)).K
-    assert controller.A == pytest.approx(-K[:, 4:], rel=1e-4)
-    assert controller.B == pytest.approx(-K[:, :4], rel=1e-4)
+    assert np.allclose(controller.A, -K[:, 4:], rtol=1e-4)
+    assert np.allclose(controller.B, -K[:, :4], rtol=1e-4)
     assert controller.sample_time == 0.01
 
 
@@ -453,9 +481,10 @@ def test_many_corners_are_drawn_with_a_fixed_seed():
     result = design(plant, [('y1',)])
     controller = Controller.gain([[1.0]], ('y2',), ('u1',))
     loops = [closed_loop(plant, result, controller, '10%') for _ in range(2)]
-    assert loops[0].all_corners == 4096 and loops[0].corners == 512
-    assert loops[0].healthy.worst == loops[1].healthy.worst
-    assert len(loops[0].healthy.corner_poles) == 512
+    first, again = loops
+    assert (first.all_corners, first.corners) == (4096, 512)
+    assert first.healthy.worst == again.healthy.worst
+    assert len(first.healthy.corner_poles) == 512
 
 
 def test_results_are_frozen(cart, carts):

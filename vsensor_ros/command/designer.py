@@ -10,7 +10,7 @@ import sys
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
-from vsensor_ros.control import closed_loop, load_controller
+from vsensor_ros.control import check_loop, closed_loop, load_controller
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import METHODS
@@ -33,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_files(options)
         plant = load_plant(options.plant)
         controller = load_controller(options.controller, plant) if options.controller else None
+        if controller is not None:
+            check_loop(plant, controller, options.uncertainty)
         asked = _fault_sets('--details', options.details)
         result = design(plant, _fault_sets('--fault-set', options.fault_set),
                         progress=progress, **_choices(options))

@@ -1,9 +1,9 @@
 """
 Close plant, controller and virtual sensors, and look whether that holds.
 
-The eigenvalues of N are those of an observer's error. Those of the loop are theirs and those of the
-loop with healthy sensors only where the virtual sensor hears the command that the plant gets, and
-the model is right. So the loop is closed as it is, and with the plant's parameters off.
+The eigenvalues of N are those of an observer's error. Those of the loop are theirs and those with
+healthy sensors only where the virtual sensor hears the command that the plant gets, and the model
+is right. So the loop is closed as it is, and with the plant's parameters off.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.control.controller import Controller
-from vsensor_ros.control.loop import close, IllPosed, Law, limit, Loop, rates
+from vsensor_ros.control.loop import close, IllPosed, Law, limit, rates
 from vsensor_ros.control.machine import linear_sensor, Machine, machine, separate
 from vsensor_ros.control.sampling import as_it_is, Errors, sampled, Steps
 from vsensor_ros.control.uncertainty import chosen, corners, varied
@@ -46,8 +46,8 @@ class Case:
 
     verdict: 'stable'; 'stays' (a mode neither dies out nor grows); 'for a time' (so, or growing,
     and no reading holds it: the virtual sensor is temporary); 'unstable'; 'not replaced' and
-    'not closed' (see reason). Poles are of s [1/s], or of z when the controller is sampled. Of a loop that is not
-    stable, noise and sensitivity are not known: NaN.
+    'not closed' (see reason). Poles are of s [1/s], or of z when the controller is sampled. Of a
+    loop that is not stable noise and sensitivity are None.
     """
 
     lost: tuple[str, ...]
@@ -56,7 +56,8 @@ class Case:
     unread: bool = False  # the controller reads nothing of what is lost
     growth: float = np.nan  # 1/s, of what grows fastest, or dies out last; without `unheld`
     poles: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    unheld: np.ndarray = field(default_factory=lambda: np.zeros(0))  # those poles that no reading holds
+    # those of the poles that no reading holds
+    unheld: np.ndarray = field(default_factory=lambda: np.zeros(0))
     # the poles are those with healthy sensors and the eigenvalues of N
     separate: bool = True
     states: tuple[str, ...] = ()  # in which the mode that is not stable shows most
@@ -119,8 +120,10 @@ def closed_loop(plant: Plant, result: Design, controller: Controller,
     with a controller of samples is taken from sample to sample exactly, its commands held. Raises
     BadInput.
     """
-    law = _law(plant, result, controller)
-    shares = {} if uncertainty is None else chosen(plant, uncertainty)
+    law, shares = check_loop(plant, controller, uncertainty)
+    if result.plant_hash != plant.hash():
+        raise BadInput('closed_loop', 'result', 'is the design of another plant',
+                       'design this one anew')
     around = [(factors, varied(plant, factors)) for factors in corners(shares)] if shares else []
     errors, assumed = _errors(plant, law.sample_time)
     sets = [(), *(lost for lost in result.fault_sets if lost)]
@@ -134,12 +137,15 @@ def closed_loop(plant: Plant, result: Design, controller: Controller,
                       plant.sample_time is None and law.sample_time is not None)
 
 
-def _law(plant: Plant, result: Design, controller: Controller) -> Law:
-    """Return the controller in the plant's order, with the sample time that it works at."""
+def check_loop(plant: Plant, controller: Controller,
+               uncertainty: str | float | Mapping[str, float] | None = None
+               ) -> tuple[Law, dict[str, float]]:
+    """
+    Return the controller in the plant's order, at its sample time, and by how much what is off.
+
+    Raises BadInput, as ``closed_loop`` would.
+    """
     where = controller.name
-    if result.plant_hash != plant.hash():
-        raise BadInput('closed_loop', 'result', 'is the design of another plant',
-                       'design this one anew')
     for key, names, known in (('reads', controller.reads, plant.sensors),
                               ('writes', controller.writes, plant.inputs)):
         for name in names:
@@ -157,9 +163,9 @@ def _law(plant: Plant, result: Design, controller: Controller) -> Law:
                            f'{step:g} s', 'give one')
     elif plant.sensor_delay.any():
         late = plant.sensors[int(np.argmax(plant.sensor_delay))]
-        raise BadInput(where, '', f'the plant is continuous and its sensor {late} has a dead time, '
-                       'which is not closed', 'write the plant with a sample time: there dead '
-                       'times are states')
+        raise BadInput(where, '', f'the plant is continuous and its sensor {late} has a dead '
+                       'time, which is not closed', 'write the plant with a sample time: there '
+                       'dead times are states')
     elif h is None and plant.input_delay.any():
         raise BadInput(where, 'sample_time', 'is missing, and the plant has dead times',
                        'give the seconds at which the controller works')
@@ -168,7 +174,8 @@ def _law(plant: Plant, result: Design, controller: Controller) -> Law:
     r, count, m = len(controller.A), len(plant.sensors), len(plant.inputs)
     B, C, D = np.zeros((r, count)), np.zeros((m, r)), np.zeros((m, count))
     B[:, heard], C[told], D[np.ix_(told, heard)] = controller.B, controller.C, controller.D
-    return Law(controller.A, B, C, D, h)
+    return (Law(controller.A, B, C, D, h),
+            {} if uncertainty is None else chosen(plant, uncertainty))
 
 
 def _errors(plant: Plant, h: float | None) -> tuple[Errors, bool]:

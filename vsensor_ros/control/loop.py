@@ -51,8 +51,8 @@ class Loop:
         """
         Return the peak of the sensitivity at the command i, and its frequency [rad/s].
 
-        The loop is cut there, after where virtual sensors hear it; all others stay closed. The loop
-        must be stable.
+        The loop is cut there, after where virtual sensors hear it; the others stay closed. It must
+        be stable.
         """
         return peak(self.A, self.B[:, [i]], self.U[[i]], 1.0 + self.V[[i]][:, [i]],
                     self.sample_time)

@@ -26,7 +26,7 @@ class Steps:
     ``s+ = A s + B u + J n, yhat = C s + D u + M n`` at the samples; W: what else moves s.
 
     s (S,) are the machine's states and the commands on their way; u (c,) is what is told now; n
-    (l,) is white noise of size 1. In a loop of continuous time it is the machine itself, n is that
+    (l,) is white noise of size 1. In a loop of continuous time it is the machine itself, n is
     per sqrt(Hz), and a single reading errs by M n (what is white noise has no size).
     """
 
@@ -42,7 +42,7 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Noise of a plant: of single readings, how long one lasts [s, or steps], and of its states."""
+    """Noise of a plant: of single readings, how long these last [s, or steps], of its states."""
 
     reading: np.ndarray  # (l,)
     lasts: np.ndarray  # (l,)
@@ -120,13 +120,13 @@ def sampled(here: Machine, columns: np.ndarray, errors: Errors, delay: np.ndarra
     else:
         steps = round(h / step)
         J[:total] = np.linalg.matrix_power(here.F, steps - 1) @ here.J
-        push = np.zeros((total, len(process)))
+        push: np.ndarray = np.zeros((total, len(process)))
         push[:len(process)] = np.diag(process)
-        for k in range(steps):
+        for _ in range(steps):
             W[:total, :total] += push @ push.T
             push = here.F @ push
         more = here.J
-        for k in range(steps - 1):  # of readings that the controller does not look at
+        for _ in range(steps - 1):  # of readings that the controller does not look at
             W[:total, :total] += more @ more.T
             more = here.F @ more
     return Steps(A, B, J, C, D, M, M, W)
@@ -135,14 +135,11 @@ def sampled(here: Machine, columns: np.ndarray, errors: Errors, delay: np.ndarra
 def _flow(F: np.ndarray, time: float, step: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Return what a time [s] makes of the states, and of commands that are held over it."""
     n = len(F)
-    both = np.zeros((2 * n, 2 * n))
-    both[:n, :n], both[:n, n:] = F, np.eye(n)
-    if step is None:
-        both = expm(both * time)
-    else:
-        both[n:, n:] = np.eye(n)
-        both = np.linalg.matrix_power(both, round(time / step))
-    return both[:n, :n], both[:n, n:]
+    held = np.eye(n) * (step is not None)
+    both = np.block([[F, np.eye(n)], [np.zeros((n, n)), held]])
+    moved = (expm(both * time) if step is None
+             else np.linalg.matrix_power(both, round(time / step)))
+    return moved[:n, :n], moved[:n, n:]
 
 
 def _gathered(F: np.ndarray, process: np.ndarray, h: float) -> np.ndarray:
@@ -152,8 +149,9 @@ def _gathered(F: np.ndarray, process: np.ndarray, h: float) -> np.ndarray:
     halvings = max(0, int(np.ceil(np.log2(max(1e-300, np.linalg.norm(F, 1) * h)))) + 1)
     dt, n = h / 2.0**halvings, len(F)
     both = expm(dt * np.block([[-F, Q], [np.zeros((n, n)), F.T]]))
-    Phi = both[n:, n:].T
+    Phi = np.asarray(both[n:, n:].T)
     W: np.ndarray = Phi @ both[:n, n:]
     for _ in range(halvings):
-        W, Phi = W + Phi @ W @ Phi.T, Phi @ Phi
+        W = W + Phi @ W @ Phi.T
+        Phi = np.asarray(Phi @ Phi)
     return np.asarray(0.5 * (W + W.T))

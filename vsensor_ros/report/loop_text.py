@@ -40,8 +40,9 @@ def headlines(loop: ClosedLoop) -> list[str]:
     if of:
         peak = max(c.peak for c in of)
         lines.append(
-            f'In the loop HARDLY STABLE with {_sets(of)}: sensitivity peak {number(peak)}, so that '
-            f'a model that is wrong by {number(100.0 / peak, "%")} may do; {NOT_THE_LOOPS}')
+            f'In the loop HARDLY STABLE with {_sets(of)}: sensitivity peak {number(peak)}, so '
+            f'that a model that is wrong by {number(100.0 / peak, "%")} may end it; '
+            f'{NOT_THE_LOOPS}')
     of = [c for c in loop.cases if c.verdict == 'stays' and not c.unstable_corners]
     if of:
         lines.append(f'In the loop a mode neither dies out nor grows with {_sets(of)}: the '
@@ -132,7 +133,9 @@ def row(loop: ClosedLoop, case: Case, plant: Plant) -> tuple[str, ...]:
     """Return a loop as cells of a table: lost, verdict, rates, corners, sensitivity, noise."""
     noise = '' if case.noise is None else ', '.join(
         number(size, plant.units.get(name, '')) for name, size in case.noise.items())
-    return (joined(case.lost) if case.lost else 'none', case.verdict,
+    verdict = 'UNSTABLE at corners' if case.unstable_corners and case.verdict != 'unstable' \
+        else case.verdict
+    return (joined(case.lost) if case.lost else 'none', verdict,
             '' if np.isnan(case.growth) else f'{case.growth:+.3g}',
             '' if case.worst is None else f'{case.worst.growth:+.3g}',
             '' if case.worst is None else f'{case.unstable_corners} of {loop.corners}',

@@ -182,7 +182,7 @@ def _loop(plant: Plant, loop: ClosedLoop | None) -> str:
                       for name, value in loop_text.facts(loop, case, plant, EIGENVALUES))
         parts.append(f'<h3>{escape(loop_text.title(case))}</h3>{said}<figure>'
                      f'{poles_picture(loop, case, f"loop{i}")}<figcaption>'
-                     f'{escape(poles_caption(loop))}</figcaption></figure>')
+                     f'{escape(poles_caption(loop, case))}</figcaption></figure>')
     return '\n'.join(parts)
 
 
@@ -436,8 +436,8 @@ def _reading() -> str:
         ('noise error', 'standard deviation of the error when all else has died out, from the '
          'noise of sensors and process; assumed where the plant gives no figures'),
         ('floor', 'the same for a Kalman filter on the same healthy sensors: nothing is quieter'),
-        ('decay', 'rate at which a wrong start is forgotten, by the eigenvalues of N: those of the '
-         "observer's error, not of a loop that a controller closes over it"),
+        ('decay', 'rate at which a wrong start is forgotten, by the eigenvalues of N: those of '
+         "the observer's error, not of a loop that a controller closes over it"),
         ('stability', 'certified: proved for the nonlinear terms as they are; not certified: only '
          'the linear part has been judged'),
         ('unknown inputs', 'what acts on the plant and nobody measures; an exact virtual sensor '

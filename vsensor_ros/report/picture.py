@@ -59,7 +59,7 @@ def picture(entry: VirtualSensor, unit: str, start: SimulatedRun | None,
 
 @contextmanager
 def drawing(salt: str) -> Iterator[Any]:
-    """Give matplotlib in the style of the report: texts stay texts, and a $ in a unit stays a $."""
+    """Give matplotlib in the report's style: texts stay texts, and a $ in a unit stays a $."""
     matplotlib = need_matplotlib()
     with matplotlib.rc_context({
             'svg.fonttype': 'none', 'svg.hashsalt': salt, 'text.parse_math': False,
