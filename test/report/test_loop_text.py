@@ -117,3 +117,13 @@ def test_what_is_wrong_is_one_line(tmp_path, capsys, arguments, needle):
                  *(a.format(**places) for a in arguments)]) == 2
     said, wrong = capsys.readouterr()
     assert not said and needle in wrong and wrong.count('\n') == 1
+
+
+def test_the_example_of_the_docs(tmp_path, capsys, monkeypatch):
+    page = (CONFIG.parent / 'docs' / 'in_the_loop.md').read_text()
+    asked = re.search(r'    designer (.*?)\n\n', page, re.DOTALL)[1].replace('\\\n', ' ').split()
+    monkeypatch.chdir(CONFIG.parent)
+    assert main([str(tmp_path / 'x') if name.endswith('.json') else name for name in asked]) == 0
+    said = capsys.readouterr().out
+    block = page[page.index('```\nIN THE LOOP') + 4:]
+    assert said.startswith(block[:block.index('```')])
