@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from vsensor_ros import closed_loop, Controller, design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.control import load_controller
+from vsensor_ros.control import load_controller, uncertainty
 from vsensor_ros.lab.balance_controller import Law
 from vsensor_ros.simulate.balance import load_balance
 
@@ -266,7 +266,9 @@ def test_sensitivity_is_that_of_another_package(cart, carts):
         S = control.feedback(ss([], [], [], [[1.0]], *(() if h is None else (h,))), law * plant,
                              sign=1)
         omega = np.geomspace(1e-2, 1e3 if h is None else np.pi / h, 20_000)
-        sizes = np.abs(S.frequency_response(omega).fresp[0, 0])
+        z = 1j * omega if h is None else np.exp(1j * omega * h)
+        inner = np.linalg.solve(z[:, None, None] * np.eye(len(S.A)) - S.A, S.B[None] + 0j)
+        sizes = np.abs(S.C @ inner + S.D)[:, 0, 0]
         peak, at = case.sensitivity['force']
         assert peak == pytest.approx(sizes.max(), rel=1e-4)
         assert at == pytest.approx(omega[np.argmax(sizes)], rel=1e-2)
@@ -429,6 +431,16 @@ def test_what_cannot_be_replaced_is_not_closed():
         np.sort_complex(np.linalg.eigvals(step)))
 
 
+def test_terms_without_a_slope_are_named():
+    plant = Plant.from_matrices(
+        [[-1.0]], [1.0], [[1.0]], P=np.ones((1, 5)), G=[[[1.0]]] * 5, nonlinearities=[
+            'w1*abs(w1)', 'abs(w1)', 'sign(w1)', 'sqrt(w1)', 'tanh(3*w1)'])
+    result = design(plant)
+    loop = closed_loop(plant, result, Controller.gain([[1.0]], ('y1',), ('u1',)))
+    assert loop.left_out == ('abs(x1)', 'sign(x1)', 'sqrt(x1)')
+    assert loop.healthy.poles == pytest.approx([1.0])  # -1 - 1 + 3
+
+
 def test_nonlinear_plants_are_closed_about_the_operating_point():
     plant = load_plant(CONFIG / 'three_tank' / 'plant.yaml')
     result = design(plant)
@@ -452,8 +464,9 @@ def test_nonlinear_plants_are_closed_about_the_operating_point():
 def test_the_controllers_that_are_shipped(folder):
     plant = load_plant(CONFIG / folder / 'plant.yaml')
     controller = load_controller(CONFIG / folder / 'controller.yaml', plant)
-    loop = closed_loop(plant, design(plant), controller, '10%')
-    assert loop.healthy.holds and loop.healthy.peak < 3.0
+    loop = closed_loop(plant, design(plant, [plant.sensors[1:2]]), controller, dict.fromkeys(
+        list(plant.parameters)[:3], 0.1))
+    assert all(case.holds for case in loop.cases) and loop.healthy.peak < 3.0
 
 
 def test_the_cart_poles_controller_is_that_of_the_demo(cart):
@@ -469,7 +482,8 @@ def test_separation_is_not_claimed_of_another_plant(cart, carts):
         closed_loop(motor(), carts, Controller.gain([[1.0, 1.0]], ('tacho', 'angle'), ('u',)))
 
 
-def test_many_corners_are_drawn_with_a_fixed_seed():
+def test_many_corners_are_drawn_with_a_fixed_seed(monkeypatch):
+    monkeypatch.setattr(uncertainty, 'MOST_CORNERS', 32)
     names = [f'k{i}' for i in range(12)]
 
     def remake(factors):
@@ -482,9 +496,9 @@ def test_many_corners_are_drawn_with_a_fixed_seed():
     controller = Controller.gain([[1.0]], ('y2',), ('u1',))
     loops = [closed_loop(plant, result, controller, '10%') for _ in range(2)]
     first, again = loops
-    assert (first.all_corners, first.corners) == (4096, 512)
+    assert (first.all_corners, first.corners) == (4096, 32)
     assert first.healthy.worst == again.healthy.worst
-    assert len(first.healthy.corner_poles) == 512
+    assert len(first.healthy.corner_poles) == 32
 
 
 def test_results_are_frozen(cart, carts):

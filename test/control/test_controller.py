@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -197,3 +198,14 @@ def test_what_is_no_plant_at_a_corner(tmp_path):
     bare = Plant.from_matrices([[0.5]], [1.0], [[1.0]], sample_time=1.0)
     with pytest.raises(BadInput, match='the plant has no named parameters that could be off'):
         chosen(bare, '10%')
+
+
+def test_the_files_of_the_docs(cart, tmp_path):
+    page = (CART_POLE.parents[1] / 'docs' / 'in_the_loop.md').read_text()
+    texts = re.findall(r'```yaml\n(.*?)```', page, re.DOTALL)
+    servo = load_plant(CART_POLE.parent / 'servo' / 'plant.yaml')
+    found = [load_controller(written(tmp_path, text), servo if 'voltage' in text else cart)
+             for text in texts]
+    assert [len(c.A) for c in found] == [0, 1, 1] and found[0].D[0, 0] == 50.0
+    shipped = load_controller(CART_POLE.parent / 'servo' / 'controller.yaml', servo)
+    assert np.allclose(found[1].D, shipped.D) and np.allclose(found[1].B, shipped.B)

@@ -22,10 +22,9 @@ from vsensor_ros.control.sampling import as_it_is, Errors, sampled, Steps
 from vsensor_ros.control.uncertainty import chosen, corners, varied
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.problem import pose
-from vsensor_ros.functions.nonlinearity import set_valued
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.plant.linear import slopes_of
+from vsensor_ros.plant.linear import kinked
 from vsensor_ros.plant.plant import suggestion
 
 BISECTIONS = 12  # of the way to a corner
@@ -130,8 +129,8 @@ def closed_loop(plant: Plant, result: Design, controller: Controller,
     cases = tuple(_case(plant, result, controller, law, errors, lost, around) for lost in sets)
     used = [(term, g, column) for term, g, column in zip(plant.terms, plant.G, plant.P.T)
             if column.any() and len(g)]
-    left_out = tuple(term.name for term, g, _ in used if set_valued(term) or not slopes_of(
-        term, g @ plant.operating_point, plant.inputs, plant.operating_input)[2])
+    left_out = tuple(term.name for term, g, _ in used if kinked(
+        term, g @ plant.operating_point, plant.inputs, plant.operating_input))
     return ClosedLoop(controller, cases, law.sample_time, shares, len(around),
                       2**len(shares) if shares else 0, assumed, left_out, not used,
                       plant.sample_time is None and law.sample_time is not None)

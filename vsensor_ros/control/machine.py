@@ -38,7 +38,7 @@ def linear_sensor(plant: Plant, sensor: VirtualSensor) -> tuple[np.ndarray, ...]
     """Return N, J and B of a virtual sensor with its terms' slopes at the operating point."""
     N, J, B = sensor.N.copy(), sensor.J.copy(), sensor.B.copy()
     for i in sensor.active:
-        w, u, _ = slopes_of(sensor.terms[i], plant.G[i] @ plant.operating_point, plant.inputs,
+        w, u = slopes_of(sensor.terms[i], plant.G[i] @ plant.operating_point, plant.inputs,
                             plant.operating_input)
         column = sensor.P[:, i]
         N += np.outer(column, w @ sensor.Gz[i])
