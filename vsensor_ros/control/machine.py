@@ -83,7 +83,8 @@ def separate(plant: Plant, here: Machine, sensors: Sequence[VirtualSensor]) -> b
     Tell whether the errors ``e = Phi x - z`` live by themselves, whatever the controller does.
 
     Then the poles of the loop are those with healthy sensors, and the eigenvalues of N. It takes a
-    virtual sensor that hears the command which the plant gets, and a model that is right.
+    virtual sensor that hears the command which the plant gets, and a model that is right. Source:
+    the method, 3.13.
     """
     n, m = len(plant.states), len(plant.inputs)
     first = n

@@ -157,7 +157,8 @@ def _summary(design: Design) -> str:
 
 def _headlines(loop: ClosedLoop | None) -> list[str]:
     lines = [] if loop is None else loop_text.headlines(loop)
-    held = loop is not None and all(case.holds for case in loop.cases)
+    held = loop is not None and all(
+        case.holds or case.verdict == 'not replaced' for case in loop.cases)
     return [f'<p class={"small" if held else "doubt"}>{escape(line)}.</p>' for line in lines]
 
 
