@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from vsensor_ros import closed_loop, Controller, design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.control import load_controller, uncertainty
+from vsensor_ros.functions.nonlinearity import evaluate
 from vsensor_ros.lab.balance_controller import Law
 from vsensor_ros.simulate.balance import load_balance
 
@@ -442,22 +443,38 @@ def test_terms_without_a_slope_are_named():
 
 
 def test_nonlinear_plants_are_closed_about_the_operating_point():
+    """Poles against difference quotients of the equations themselves, the observer's too."""
     plant = load_plant(CONFIG / 'three_tank' / 'plant.yaml')
-    result = design(plant)
-    K = np.zeros((len(plant.inputs), len(plant.sensors)))
-    K[0, 0] = 0.4
+    result = design(plant, [('y2',)])
+    vs = result['y2', 'y2']
+    assert vs.active
+    K = np.array([[0.4, 0.3], [-0.2, 0.5]])
+    assert plant.sensors == ('y1', 'y2')
     loop = closed_loop(plant, result, Controller.gain(K, plant.sensors, plant.inputs))
     assert not loop.linear
-    step = 1e-6
+    x0, u0, n = plant.operating_point, plant.operating_input, len(plant.states)
 
-    def rate(x):  # the equations themselves, beside the operating point
-        y = plant.C @ (x - plant.operating_point)
-        return plant.rate_of_change(x, plant.operating_input - K @ y)
-    slopes = np.array([(rate(plant.operating_point + step * unit)
-                        - rate(plant.operating_point - step * unit)) / (2.0 * step)
-                       for unit in np.eye(len(plant.states))]).T
-    assert np.sort_complex(loop.healthy.poles) == pytest.approx(
-        np.sort_complex(np.linalg.eigvals(slopes)), abs=1e-6)
+    def observer(z, y0, u):
+        rate = vs.N @ z + vs.J @ y0 + vs.B @ u
+        for i in vs.active:
+            w = vs.Gz[i] @ z + vs.Gy[i] @ y0 + vs.Gu[i] @ u
+            rate = rate + vs.P[:, i] * evaluate(vs.terms[i], w, plant.inputs, u)
+        return rate
+
+    def rate(full, replaced):
+        x, z = full[:n], full[n:]
+        y = plant.C @ x
+        if replaced:
+            y[1] = (vs.Cv @ z + vs.Q @ y[:1])[0]
+        u = u0 - K @ (y - plant.C @ x0)
+        return np.concatenate([plant.rate_of_change(x, u), observer(z, y[:1], u)])
+    start, step = np.concatenate([x0, vs.Phi @ x0]), 1e-6
+    for case, replaced, count in ((loop.healthy, False, n), (loop['y2'], True, len(start))):
+        slopes = np.array([(rate(start + step * unit, replaced) - rate(
+            start - step * unit, replaced)) / (2.0 * step) for unit in np.eye(len(start))]).T
+        assert np.sort_complex(case.poles) == pytest.approx(np.sort_complex(
+            np.linalg.eigvals(slopes[:count, :count])), abs=1e-6)
+    assert loop['y2'].separate
 
 
 @pytest.mark.parametrize('folder', ['cart_pole', 'servo'])
