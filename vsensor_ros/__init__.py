@@ -8,11 +8,13 @@ designer.
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from vsensor_ros.control import closed_loop, Controller, load_controller
     from vsensor_ros.designer import design
     from vsensor_ros.observers import Design, Refusal, VirtualSensor
     from vsensor_ros.plant import load_plant, Plant
 
-__all__ = ['Design', 'Plant', 'Refusal', 'VirtualSensor', 'design', 'load_plant']
+__all__ = ['Controller', 'Design', 'Plant', 'Refusal', 'VirtualSensor', 'closed_loop', 'design',
+           'load_controller', 'load_plant']
 
 
 def __getattr__(name: str) -> Any:
@@ -20,6 +22,9 @@ def __getattr__(name: str) -> Any:
     if name == 'design':
         from vsensor_ros.designer import design
         return design
+    if name in ('Controller', 'closed_loop', 'load_controller'):
+        from vsensor_ros import control
+        return getattr(control, name)
     if name in ('Plant', 'load_plant'):
         from vsensor_ros import plant
         return getattr(plant, name)

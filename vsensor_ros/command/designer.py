@@ -14,6 +14,7 @@ from typing import Any
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.command.progress import shown_progress
+from vsensor_ros.control import check_loop, closed_loop, load_controller
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import chosen_sets, METHODS
@@ -59,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _design(options: argparse.Namespace, work: str | None) -> str:
     """Design, write all that is asked for, and return what is to be said."""
     plant = load_plant(options.plant)
+    controller = load_controller(options.controller, plant) if options.controller else None
+    if controller is not None:
+        check_loop(plant, controller, options.uncertainty)
     details = _fault_sets('--details', options.details)
     sets = _fault_sets('--fault-set', options.fault_set)
     asked = _asked(plant, chosen_sets(plant, sets, options.up_to, False), details)
@@ -76,13 +80,18 @@ def _design(options: argparse.Namespace, work: str | None) -> str:
         places = (locations(plant, up_to=max(map(len, result.fault_sets)),
                             isolate=options.isolate)
                   if options.locate else None)
+        if progress is not None and controller is not None:
+            progress(0, 1, 'closing the loop')
+        loop = None if controller is None else closed_loop(
+            plant, result, controller, options.uncertainty)
         minded = advice(plant, result, lambda other, lost: design(
             other, [lost], **{**_choices(options), 'up_to': None, 'isolate': False}))
         written = f'written to {options.output}'
         if options.report:
-            path = write_report(options.report, plant, result, places, progress, minded)
+            path = write_report(options.report, plant, result, places, progress, minded, loop)
             written += f', the report to {path}'
-    return f'{answer(result, asked, places, plant, minded)}\n{closing(result)}; {written}'
+    return (f'{answer(result, asked, places, plant, minded, loop)}\n{closing(result)}; '
+            f'{written}')
 
 
 def _is_special(path: str) -> bool:
@@ -144,6 +153,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help='write a report, too: one HTML file, or a folder that will hold it')
     parser.add_argument('--locate', action='store_true',
                         help='say which one more sensor would let you lose the most others')
+    parser.add_argument('--controller', metavar='FILE',
+                        help='close the loop with a controller file (YAML), with all sensors '
+                        'healthy and with each fault set replaced: poles, sensitivity, noise')
+    parser.add_argument('--uncertainty', metavar='SHARE',
+                        help='look at that loop where the parameters are off, too: 10%% (all of '
+                        'the plant file), or mass=10%%,length=5%%')
     parser.add_argument('--details', metavar='SENSORS', action='append',
                         help='print what was found for this fault set (with commas between), or '
                         f"'all'; needed where there are more than {MOST_BLOCKS}")
@@ -166,13 +181,19 @@ def _choices(options: argparse.Namespace) -> dict[str, Any]:
 
 def _check_files(options: argparse.Namespace) -> None:
     given = {'PLANT': options.plant, '-o': options.output}
+    read = {'PLANT': 'the plant file'}
+    if options.controller is not None:
+        given['--controller'], read['--controller'] = options.controller, 'the controller file'
+    elif options.uncertainty is not None:
+        raise BadInput('--uncertainty', '', 'stands there without a controller',
+                       'name its file: --controller FILE')
     if options.report is not None:
         given['--report'] = options.report
     for what, path in given.items():
         if not path:
             raise BadInput(what, '', 'is empty', 'name a file')
-    outputs = [what for what in given if what != 'PLANT']
-    for what, other, whose in [(o, 'PLANT', 'the plant file') for o in outputs] + [
+    outputs = [what for what in given if what not in read]
+    for what, other, whose in [(o, r, read[r]) for o in outputs for r in read] + [
             (o, '-o', 'the design file') for o in outputs[1:]]:
         if _same(given[what], given[other]):
             raise BadInput(what, '', f'{given[what]} is {whose} itself', 'name another file')

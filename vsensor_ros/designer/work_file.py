@@ -8,7 +8,7 @@ answer stands there as in the design file, and is checked as such when it is rea
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 import hashlib
 import json
 import os
@@ -41,7 +41,8 @@ class WorkFile:
     def __init__(self, path: str | Path, plant: Plant, choices: Mapping[str, Any],
                  empty: Contents) -> None:
         self._path = path
-        self._head = {'format': FORMAT, 'version': VERSION, 'plant': fingerprint(plant),
+        self._head = {'format': FORMAT, 'version': VERSION,
+                      'plant': fingerprint(replace(plant, remake=None)),
                       'choices': fingerprint(dict(choices))}
         self._kept: dict[Key, tuple[tuple[str, ...] | None, Entry | Refusal]] = {}
         self._end: int | None = 0  # bytes of what is whole; None once it is cut to them

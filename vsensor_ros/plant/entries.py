@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 import math
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -41,11 +42,16 @@ _SHAPES = {'linear': 'table', 'cubic': 'smooth_table'}
 class Entries:
     """One plant file being read: where errors are, and what is known of it so far."""
 
-    def __init__(self, path: str | Path, keys: Iterable[str]) -> None:
-        self.path = path
-        content = read_yaml(path)
+    what = 'plant file'
+
+    def __init__(self, path: str | Path, keys: Iterable[str],
+                 content: dict[str, Any] | None = None,
+                 factors: Mapping[str, float] = MappingProxyType({})) -> None:
+        """Read a file, or take its content; parameters are multiplied by factors, by name."""
+        self.path, self.factors = path, factors
+        content = read_yaml(path, self.what) if content is None else content
         if content is None:
-            raise BadInput(path, '', 'is empty', 'write a plant file')
+            raise BadInput(path, '', 'is empty', f'write a {self.what}')
         self.content = self.mapping(content, '', keys)
         self.parameters: dict[str, float] = {}
         self.arrays: dict[str, list[Any]] = {}
@@ -145,7 +151,7 @@ class Entries:
                 self.arrays[key] = value
                 self.array(value, key)
             else:
-                self.parameters[key] = self.number(value, place)
+                self.parameters[key] = self.scaled(key, value)
 
     def array(self, values: list[Any], name: str) -> None:
         """Read the elements of an array as parameters of their own: k[0], k[1][2]."""
@@ -160,7 +166,11 @@ class Entries:
                                     'give rows of numbers')
                 self.array(value, element)
             else:
-                self.parameters[element] = self.number(value, f'parameters.{element}')
+                self.parameters[element] = self.scaled(element, value)
+
+    def scaled(self, name: str, value: Any) -> float:
+        """Read the value of a parameter, times its factor."""
+        return self.number(value, f'parameters.{name}') * self.factors.get(name, 1.0)
 
     def read_definitions(self, variables: Sequence[str]) -> None:
         """Read intermediate expressions; a later one may use earlier ones."""

@@ -14,7 +14,7 @@ that names the file, the place and the mend.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,19 @@ def load_plant(path: str | Path) -> Plant:
     file with `matrices` only when it is given), so that A is the linearisation there. The
     split is checked against the equations at random points. Raises BadInput, one line.
     """
-    return _plant(Entries(path, _TOP))
+    file = Entries(path, _TOP)
+    return replace(_plant(file), remake=_Again(path, file.content))
+
+
+@dataclass(frozen=True)
+class _Again:
+    """Makes the plant of a file that was read anew, with its parameters times factors."""
+
+    path: str | Path
+    content: dict[str, Any]
+
+    def __call__(self, factors: Mapping[str, float]) -> Plant:
+        return replace(_plant(Entries(self.path, _TOP, self.content, factors)), remake=self)
 
 
 def _plant(file: Entries) -> Plant:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import hashlib
 import re
@@ -84,6 +84,8 @@ class Plant:
     sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
     sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
     remarks: tuple[str, ...]            # what is to be told of how the file was read
+    # makes it anew, of parameters that are so many times as large; None: not known how
+    remake: Callable[[Mapping[str, float]], Plant] | None = None
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
@@ -102,6 +104,7 @@ class Plant:
                       curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
                       sensor_delay: Any = None, sensor_rate: Any = None,
                       remarks: Sequence[str] = (),
+                      remake: Callable[[Mapping[str, float]], Plant] | None = None,
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
@@ -118,8 +121,9 @@ class Plant:
         far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
         NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
         input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
-        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
-        what error lines call the source. Raises BadInput.
+        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
+        remake: makes the plant anew from factors of its parameters, by name. where: what error
+        lines call the source. Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
@@ -191,7 +195,8 @@ class Plant:
             sensor_delay=checked_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
             sensor_rate=checked_rates(sensor_rate, len(c), where),
             remarks=tuple(check_text(text, where, 'remarks')
-                          for text in as_list(remarks, where, 'remarks')))
+                          for text in as_list(remarks, where, 'remarks')),
+            remake=remake)
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
@@ -228,7 +233,7 @@ class Plant:
             tolerances={name: size for name, size in self.tolerances.items() if name in names},
             wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
             curves={name: curve for name, curve in self.curves.items() if name in names},
-            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y])
+            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y], remake=None)
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """

@@ -69,9 +69,9 @@ _Loader.add_constructor('tag:yaml.org,2002:int', _Loader.plain_int)
 _Loader.add_constructor('tag:yaml.org,2002:float', _Loader.plain_float)
 
 
-def read_yaml(path: str | Path) -> Any:
+def read_yaml(path: str | Path, what: str = 'plant file') -> Any:
     """Return what a file holds; raise BadInput, one line, for what is not read here."""
-    text = read_text(path, '', 'name a plant file (YAML)', LARGEST_FILE)
+    text = read_text(path, '', f'name a {what} (YAML)', LARGEST_FILE)
     try:
         loader = _Loader(text)
         loader.where = path

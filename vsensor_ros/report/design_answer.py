@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 import textwrap
 
+from vsensor_ros.control import ClosedLoop
 from vsensor_ros.designer.location import Location
 from vsensor_ros.observers import Design, Entry, Isolability, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
-from vsensor_ros.report import design_text, for_a_time, isolability_text
+from vsensor_ros.report import design_text, for_a_time, isolability_text, loop_text
 
 MOST_PLACES = 8  # for a new sensor
 MOST_GAPS = 12  # of what cannot be told apart
@@ -17,16 +18,19 @@ WIDTH = 99
 
 def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
            places: Sequence[Location] | None = None, plant: Plant | None = None,
-           advice: Sequence[str] = ()) -> str:
+           advice: Sequence[str] = (), loop: ClosedLoop | None = None) -> str:
     """
     Return what a person reads: what can be lost, then a block for each of some fault sets.
 
     ``blocks``: fault sets to print blocks for, by default all. ``advice``: what is to be minded,
-    besides the plant's remarks.
+    besides the plant's remarks. ``loop``: what becomes of a controller.
     """
     time = ('continuous time' if result.sample_time is None
             else f'sample time {result.sample_time:g} s')
-    lines = [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
+    lines = [] if loop is None else [
+        *(line for text in loop_text.headlines(loop) for line in textwrap.wrap(
+            text, WIDTH, subsequent_indent='    ', break_on_hyphens=False)), '']
+    lines += [f'Plant {result.plant_name}, {time}, {len(result.states)} states', '']
     minded = [*(() if plant is None else plant.remarks), *advice]
     if minded:
         lines += ['Mind', *(line for text in minded for line in _hanging('-', text, 2)), '']
@@ -39,6 +43,8 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
         lines += ['', 'With one more sensor', *_places(places, plant)]
     if result.isolability is not None:
         lines += ['', *_isolated(result.isolability, result.sensors)]
+    if loop is not None:
+        lines += ['', *_loop(loop, blocks, plant)]
     lines.append('')
     for (fault_set, channel), entry in result.entries.items():
         if blocks is None or fault_set in blocks:
@@ -59,6 +65,23 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
         lines += [f'{hidden} more not printed: ask with --details SENSORS or --details all, or '
                   'have all in a file with --report out.html', '']
     return '\n'.join(lines).rstrip() + '\n'
+
+
+def _loop(loop: ClosedLoop, blocks: set[tuple[str, ...]] | None,
+          plant: Plant | None) -> list[str]:
+    """Say what becomes of the loop: healthy, in fault sets with a block, and where it fails."""
+    lines = textwrap.wrap(f'In the loop with {loop_text.closed_how(loop)}', WIDTH,
+                          subsequent_indent='    ', break_on_hyphens=False)
+    for case in loop.cases:
+        if not case.lost or blocks is None or case.lost in blocks or not (
+                case.holds or case.verdict == 'not replaced'):
+            lines += textwrap.wrap(loop_text.title(case), WIDTH, initial_indent='    ',
+                                   subsequent_indent=' ' * 8, break_on_hyphens=False)
+            lines += [line for name, value in loop_text.facts(
+                loop, case, plant, design_text.SHOWN) for line in textwrap.wrap(
+                    value, WIDTH, initial_indent=f'        {name:16}',
+                    subsequent_indent=' ' * 24, break_on_hyphens=False)]
+    return lines + [line for text in loop_text.notes(loop) for line in _hanging('-', text, 2)]
 
 
 def closing(result: Design) -> str:

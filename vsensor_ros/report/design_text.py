@@ -210,8 +210,13 @@ def rate(decay: float, entry: Entry, unit: str = '') -> str:
 
 def eigenvalues(entry: VirtualSensor, shown: int = SHOWN) -> str:
     """Return the eigenvalues of N, the slowest first, pairs as one, of many the first few."""
-    slow = (np.real if entry.sample_time is None else np.abs)(entry.eigenvalues)
-    upper = [complex(entry.eigenvalues[i]) for i in np.argsort(-slow, kind='stable')]
+    return spectrum(entry.eigenvalues, entry.sample_time, shown)
+
+
+def spectrum(values: np.ndarray, sample_time: float | None, shown: int = SHOWN) -> str:
+    """Return eigenvalues, of s or of z, as those of N."""
+    slow = (np.real if sample_time is None else np.abs)(values)
+    upper = [complex(values[i]) for i in np.argsort(-slow, kind='stable')]
     texts = []
     for value in upper:
         if abs(value) < NEARLY:

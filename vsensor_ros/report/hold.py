@@ -12,27 +12,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from vsensor_ros.functions.expression import gradient, parse
-from vsensor_ros.functions.nonlinearity import argument_names
 from vsensor_ros.plant import Plant
+from vsensor_ros.plant.linear import linearised
 from vsensor_ros.simulate import simulate
 
 EVERY = 4  # steps of the run of a continuous plant pass between two commands
 FALLEN = 10.0  # sizes of a state from the operating point: no longer held
-
-
-def linearised(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (n, n) and B (n, m) at the operating point; terms have slope 0 at their kinks."""
-    A, B = plant.A.copy(), plant.B.copy()
-    for term, G, column in zip(plant.terms, plant.G, plant.P.T):
-        arguments = argument_names(len(G))
-        at = {**dict(zip(plant.inputs, map(float, plant.operating_input))),
-              **dict(zip(arguments, map(float, G @ plant.operating_point)))}
-        slope = gradient(parse(term.text), at, (*arguments, *plant.inputs))[1]
-        slope = np.where(np.isfinite(slope), slope, 0.0)
-        A += np.outer(column, (slope[:len(G)] - term.slope) @ G)
-        B += np.outer(column, slope[len(G):])
-    return A, B
 
 
 def growth(plant: Plant) -> float:

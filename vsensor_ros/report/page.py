@@ -15,12 +15,20 @@ from pathlib import Path
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.control import ClosedLoop
 from vsensor_ros.designer.location import Location
 from vsensor_ros.functions.expression import to_words
 from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
-from vsensor_ros.report import design_text, for_a_time, isolability_text, report_simulation
+from vsensor_ros.report import (
+    design_text,
+    for_a_time,
+    isolability_text,
+    loop_text,
+    report_simulation,
+)
+from vsensor_ros.report.loop_picture import poles_caption, poles_picture
 from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
@@ -81,7 +89,7 @@ def check_target(path: str | Path) -> None:
 def write_report(path: str | Path, plant: Plant, design: Design,
                  locations: Sequence[Location] | None = None,
                  progress: Callable[[int, int, str], None] | None = None,
-                 advice: Sequence[str] = ()) -> Path:
+                 advice: Sequence[str] = (), loop: ClosedLoop | None = None) -> Path:
     """
     Write the report of a plant's design to a file named .html, or as index.html into a folder.
 
@@ -91,7 +99,7 @@ def write_report(path: str | Path, plant: Plant, design: Design,
     """
     check_target(path)
     target = Path(path)
-    text = page(plant, design, locations, progress, advice)
+    text = page(plant, design, locations, progress, advice, loop)
     try:
         if not str(path).endswith(PAGES):
             target.mkdir(parents=True, exist_ok=True)
@@ -105,11 +113,12 @@ def write_report(path: str | Path, plant: Plant, design: Design,
 
 def page(plant: Plant, design: Design, locations: Sequence[Location] | None = None,
          progress: Callable[[int, int, str], None] | None = None,
-         advice: Sequence[str] = ()) -> str:
+         advice: Sequence[str] = (), loop: ClosedLoop | None = None) -> str:
     """Return the report as HTML."""
     name = escape(design.plant_name)
-    parts = [_summary(design), _minded((*plant.remarks, *advice)), _plant(plant), _losses(design),
-             _overview(design), _isolability(design), _places(plant, design, locations),
+    parts = [*_headlines(loop), _summary(design), _minded((*plant.remarks, *advice)),
+             _plant(plant), _losses(design), _overview(design), _isolability(design),
+             _loop(plant, loop), _places(plant, design, locations),
              _entries(plant, design, progress), _terms(plant, design), _reading()]
     return ('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
@@ -157,6 +166,36 @@ def _summary(design: Design) -> str:
 def _minded(lines: Sequence[str]) -> str:
     items = ''.join(f'<li>{escape(line)}</li>' for line in lines)
     return f'<h2>Mind</h2><ul>{items}</ul>' if items else ''
+def _headlines(loop: ClosedLoop | None) -> list[str]:
+    lines = [] if loop is None else loop_text.headlines(loop)
+    held = loop is not None and all(
+        case.holds or case.verdict == 'not replaced' for case in loop.cases)
+    return [f'<p class={"small" if held else "doubt"}>{escape(line)}.</p>' for line in lines]
+
+
+def _loop(plant: Plant, loop: ClosedLoop | None) -> str:
+    if loop is None:
+        return ''
+    rows = [tuple(map(escape, loop_text.row(loop, case, plant))) for case in loop.cases]
+    colours = {'stable': 'yes', 'for a time': 'temporary', 'stays': 'bounded'}
+    parts = [f'<h2>In the loop</h2><p>With {escape(loop_text.closed_how(loop))}.</p>', _table(
+        rows, ('replaced', '', 'grows by [1/s]', 'at the worst corner [1/s]', 'unstable corners',
+               'sensitivity peak', f'noise of {escape(", ".join(loop.controller.writes))}'),
+        (2, 3, 4, 5, 6), ['no' if case.unstable_corners else colours.get(case.verdict, 'no')
+                          for case in loop.cases])]
+    parts += [f'<p class=small>{escape(note)}</p>' for note in loop_text.notes(loop)]
+    drawn = [case for case in loop.cases if len(case.poles)]
+    if len(drawn) > MOST_PICTURES:
+        drawn = sorted(drawn, key=lambda case: case.holds)[:MOST_PICTURES]
+        parts.append(f'<p>Poles are drawn of {MOST_PICTURES} of {len(loop.cases)} loops, those '
+                     'that do not hold first.</p>')
+    for i, case in enumerate(drawn):
+        said = _facts((name, escape(value))
+                      for name, value in loop_text.facts(loop, case, plant, EIGENVALUES))
+        parts.append(f'<h3>{escape(loop_text.title(case))}</h3>{said}<figure>'
+                     f'{poles_picture(loop, case, f"loop{i}")}<figcaption>'
+                     f'{escape(poles_caption(loop, case))}</figcaption></figure>')
+    return '\n'.join(parts)
 
 
 def _unit(plant: Plant, name: str) -> str:
@@ -443,7 +482,8 @@ def _reading() -> str:
         ('noise error', 'standard deviation of the error when all else has died out, from the '
          'noise of sensors and process; assumed where the plant gives no figures'),
         ('floor', 'the same for a Kalman filter on the same healthy sensors: nothing is quieter'),
-        ('decay', 'rate at which a wrong start is forgotten, by the eigenvalues of N'),
+        ('decay', 'rate at which a wrong start is forgotten, by the eigenvalues of N: those of '
+         "the observer's error, not of a loop that a controller closes over it"),
         ('stability', 'certified: proved for the nonlinear terms as they are; not certified: only '
          'the linear part has been judged'),
         ('unknown inputs', 'what acts on the plant and nobody measures; an exact virtual sensor '

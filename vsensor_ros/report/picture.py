@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import io
 import re
 from typing import Any
@@ -30,13 +32,8 @@ def picture(entry: VirtualSensor, unit: str, start: SimulatedRun | None,
     Of a plant that runs away only the error is drawn: the truth would hide all else. ``salt``
     keeps the names inside it apart from those of other pictures on one page.
     """
-    matplotlib = need_matplotlib()
     runs = [run for run in (start, pushed) if run is not None]
-    # texts stay texts, and a $ in a unit stays a $
-    with matplotlib.rc_context({
-            'svg.fonttype': 'none', 'svg.hashsalt': salt, 'text.parse_math': False,
-            'text.usetex': False, 'font.size': 9, 'axes.spines.top': False,
-            'axes.spines.right': False, 'axes.grid': True, 'grid.alpha': 0.25}):
+    with drawing(salt) as matplotlib:
         figure = matplotlib.figure.Figure(figsize=(4.6 * len(runs), 3.9), layout='constrained')
         grid = figure.add_gridspec(2, len(runs), height_ratios=(3, 2))
         shown = f' [{unit}]' if unit else ''
@@ -57,10 +54,26 @@ def picture(entry: VirtualSensor, unit: str, start: SimulatedRun | None,
                 _mark_inputs([axis for axis in (above, below) if axis is not None], run)
             below.set_ylabel(f'{"|error|" if run is start else "error"}{shown}')
             below.set_xlabel('time [s]')
-        text = io.StringIO()
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # a unit in letters that the font has not
-            figure.savefig(text, format='svg', metadata={'Date': None, 'Creator': None})
+        return as_svg(figure)
+
+
+@contextmanager
+def drawing(salt: str) -> Iterator[Any]:
+    """Give matplotlib in the report's style: texts stay texts, and a $ in a unit stays a $."""
+    matplotlib = need_matplotlib()
+    with matplotlib.rc_context({
+            'svg.fonttype': 'none', 'svg.hashsalt': salt, 'text.parse_math': False,
+            'text.usetex': False, 'font.size': 9, 'axes.spines.top': False,
+            'axes.spines.right': False, 'axes.grid': True, 'grid.alpha': 0.25}):
+        yield matplotlib
+
+
+def as_svg(figure: Any) -> str:
+    """Return a figure as an SVG element for a page."""
+    text = io.StringIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # a unit in letters that the font has not
+        figure.savefig(text, format='svg', metadata={'Date': None, 'Creator': None})
     svg = text.getvalue()
     svg = re.sub(r'<metadata>.*?</metadata>', '', svg[svg.index('<svg'):], flags=re.DOTALL)
     return re.sub(r'<g id="[^"]*"', '<g', svg)
