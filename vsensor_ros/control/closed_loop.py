@@ -22,6 +22,7 @@ from vsensor_ros.control.sampling import as_it_is, Errors, Late, sampled, Steps
 from vsensor_ros.control.uncertainty import chosen, corners, varied
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.problem import pose
+from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.linear import kinked
@@ -91,16 +92,16 @@ class ClosedLoop:
     all_corners: int  # that there are
     assumed: bool  # some of the noise
     left_out: tuple[str, ...]  # terms without a slope at the operating point
-    linear: bool  # the plant has no terms
+    linear: bool  # the plant has neither terms nor curves
     between: bool  # a continuous plant, and a controller of samples
 
     def __getitem__(self, lost: Iterable[str]) -> Case:
         """Look up the loop with these sensors lost; raise KeyError."""
-        names = {lost} if isinstance(lost, str) else set(lost)
+        wanted = {lost} if isinstance(lost, str) else set(lost)
         for case in self.cases:
-            if set(case.lost) == names:
+            if set(case.lost) == wanted:
                 return case
-        raise KeyError(f'{", ".join(sorted(map(str, names)))}: no such fault set')
+        raise KeyError(f'{", ".join(sorted(map(str, wanted)))}: no such fault set')
 
     @property
     def healthy(self) -> Case:
@@ -127,12 +128,13 @@ def closed_loop(plant: Plant, result: Design, controller: Controller,
     errors, assumed = _errors(plant, law.sample_time)
     sets = [(), *(lost for lost in result.fault_sets if lost)]
     cases = tuple(_case(plant, result, controller, law, errors, lost, around) for lost in sets)
-    used = [(term, g, column) for term, g, column in zip(plant.terms, plant.G, plant.P.T)
-            if column.any() and len(g)]
-    left_out = tuple(term.name for term, g, _ in used if kinked(
+    used = [(term, g) for term, g, column in zip(plant.terms, plant.G, plant.P.T)
+            if column.any() and names(parse(term.text))]
+    left_out = tuple(term.name for term, g in used if kinked(
         term, g @ plant.operating_point, plant.inputs, plant.operating_input))
+    bent = bool(used) or any(curve.text for curve in plant.curves.values())
     return ClosedLoop(controller, cases, law.sample_time, shares, len(around),
-                      2**len(shares) if shares else 0, assumed, left_out, not used,
+                      2**len(shares) if shares else 0, assumed, left_out, not bent,
                       plant.sample_time is None and law.sample_time is not None)
 
 
@@ -145,9 +147,9 @@ def check_loop(plant: Plant, controller: Controller,
     Raises BadInput, as ``closed_loop`` would.
     """
     where = controller.name
-    for key, names, known in (('reads', controller.reads, plant.sensors),
-                              ('writes', controller.writes, plant.inputs)):
-        for name in names:
+    for key, of, known in (('reads', controller.reads, plant.sensors),
+                           ('writes', controller.writes, plant.inputs)):
+        for name in of:
             if name not in known:
                 raise BadInput(where, key, f'unknown name {shown(name)}',
                                suggestion(name, known))
