@@ -296,7 +296,7 @@ def test_sensitivity_counts_what_the_virtual_sensor_hears():
     vs = result['tacho', 'tacho']
     kt, ka = 0.7, 3.0
     loop = closed_loop(plant, result, Controller.gain([[kt, ka]], plant.sensors, plant.inputs))
-    omega = np.geomspace(0.01, 1e4, 20_000)
+    omega = np.geomspace(0.01, 1e4, 3_000)
     sizes = []
     for s in 1j * omega:
         angle = 6.0 / (s * (s + 2.0))
@@ -321,6 +321,29 @@ def test_dead_time_between_samples_is_exact():
         np.sort_complex(expected))
     with pytest.raises(BadInput, match='sample_time: is missing, and the plant has dead times'):
         closed_loop(plant, design(plant), Controller.gain([[k]], ('y1',), ('u1',)))
+
+
+@pytest.mark.parametrize('late', [0.03, 0.05, 0.1, 0.12])
+@pytest.mark.parametrize('Cu', [None, [[0.5], [0.0]]])
+def test_readings_that_are_late_are_as_good_as_a_command_that_is(late, Cu):
+    """In a loop around one command it does not matter where the dead time is."""
+    h, loops = 0.05, []
+    for more in ({'sensor_delay': [late, late]}, {'input_delay': [late]}):
+        plant = replace(motor(Cu), **{name: np.array(of) for name, of in more.items()})
+        controller = Controller.gain([[0.4, 2.0]], plant.sensors, plant.inputs, sample_time=h)
+        loops.append(closed_loop(plant, design(plant, [('tacho',)]), controller))
+    reading, command = loops
+    for of in ((), ('tacho',)):
+        first, second = ([pole for pole in loop[of].poles if abs(pole) > 1e-3] for loop in loops)
+        assert np.poly(first) == pytest.approx(np.poly(second), abs=1e-9)
+        assert reading[of].peak == pytest.approx(command[of].peak, rel=1e-5)
+    assert reading.healthy.noise['u'] == pytest.approx(command.healthy.noise['u'], rel=1e-6)
+    assert reading['tacho'].noise['u'] == pytest.approx(command['tacho'].noise['u'], rel=0.02)
+    later = replace(motor(), sensor_delay=np.array([0.0, late]))
+    case = closed_loop(later, design(later, [('tacho',)]), controller)['tacho']
+    assert case.verdict == 'not closed' and 'reads angle, which tells of an earlier' in case.reason
+    with pytest.raises(BadInput, match='sample_time: is missing, and the plant has dead times'):
+        closed_loop(later, design(later, [('tacho',)]), replace(controller, sample_time=None))
 
 
 @pytest.mark.parametrize('delay', [0.0, 0.02, 0.05])

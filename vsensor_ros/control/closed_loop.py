@@ -18,10 +18,11 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.control.controller import Controller
 from vsensor_ros.control.loop import close, IllPosed, Law, limit, rates
 from vsensor_ros.control.machine import linear_sensor, Machine, machine, separate
-from vsensor_ros.control.sampling import as_it_is, Errors, sampled, Steps
+from vsensor_ros.control.sampling import as_it_is, Errors, Late, sampled, Steps
 from vsensor_ros.control.uncertainty import chosen, corners, varied
 from vsensor_ros.designer.noise import noise_model
 from vsensor_ros.designer.problem import pose
+from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.observers import Design, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.checked import suggestion
@@ -91,16 +92,16 @@ class ClosedLoop:
     all_corners: int  # that there are
     assumed: bool  # some of the noise
     left_out: tuple[str, ...]  # terms without a slope at the operating point
-    linear: bool  # the plant has no terms
+    linear: bool  # the plant has neither terms nor curves
     between: bool  # a continuous plant, and a controller of samples
 
     def __getitem__(self, lost: Iterable[str]) -> Case:
         """Look up the loop with these sensors lost; raise KeyError."""
-        names = {lost} if isinstance(lost, str) else set(lost)
+        wanted = {lost} if isinstance(lost, str) else set(lost)
         for case in self.cases:
-            if set(case.lost) == names:
+            if set(case.lost) == wanted:
                 return case
-        raise KeyError(f'{", ".join(sorted(map(str, names)))}: no such fault set')
+        raise KeyError(f'{", ".join(sorted(map(str, wanted)))}: no such fault set')
 
     @property
     def healthy(self) -> Case:
@@ -127,12 +128,13 @@ def closed_loop(plant: Plant, result: Design, controller: Controller,
     errors, assumed = _errors(plant, law.sample_time)
     sets = [(), *(lost for lost in result.fault_sets if lost)]
     cases = tuple(_case(plant, result, controller, law, errors, lost, around) for lost in sets)
-    used = [(term, g, column) for term, g, column in zip(plant.terms, plant.G, plant.P.T)
-            if column.any() and len(g)]
-    left_out = tuple(term.name for term, g, _ in used if kinked(
+    used = [(term, g) for term, g, column in zip(plant.terms, plant.G, plant.P.T)
+            if column.any() and names(parse(term.text))]
+    left_out = tuple(term.name for term, g in used if kinked(
         term, g @ plant.operating_point, plant.inputs, plant.operating_input))
+    bent = bool(used) or any(curve.text for curve in plant.curves.values())
     return ClosedLoop(controller, cases, law.sample_time, shares, len(around),
-                      2**len(shares) if shares else 0, assumed, left_out, not used,
+                      2**len(shares) if shares else 0, assumed, left_out, not bent,
                       plant.sample_time is None and law.sample_time is not None)
 
 
@@ -145,9 +147,9 @@ def check_loop(plant: Plant, controller: Controller,
     Raises BadInput, as ``closed_loop`` would.
     """
     where = controller.name
-    for key, names, known in (('reads', controller.reads, plant.sensors),
-                              ('writes', controller.writes, plant.inputs)):
-        for name in names:
+    for key, of, known in (('reads', controller.reads, plant.sensors),
+                           ('writes', controller.writes, plant.inputs)):
+        for name in of:
             if name not in known:
                 raise BadInput(where, key, f'unknown name {shown(name)}',
                                suggestion(name, known))
@@ -160,12 +162,7 @@ def check_loop(plant: Plant, controller: Controller,
         if abs(h / step - round(h / step)) > 1e-6 * h / step or round(h / step) < 1:
             raise BadInput(where, 'sample_time', f'{h:g} s is no multiple of that of the plant, '
                            f'{step:g} s', 'give one')
-    elif plant.sensor_delay.any():
-        late = plant.sensors[int(np.argmax(plant.sensor_delay))]
-        raise BadInput(where, '', f'the plant is continuous and its sensor {late} has a dead '
-                       'time, which is not closed', 'write the plant with a sample time: there '
-                       'dead times are states')
-    elif h is None and plant.input_delay.any():
+    elif h is None and plant.delays():
         raise BadInput(where, 'sample_time', 'is missing, and the plant has dead times',
                        'give the seconds at which the controller works')
     heard = [plant.sensors.index(name) for name in controller.reads]
@@ -198,6 +195,9 @@ def _case(plant: Plant, result: Design, controller: Controller, law: Law, errors
         if not isinstance(entry, VirtualSensor):
             return Case(lost, 'not closed', f'the one for {entry.channel} is of the kind '
                         f'{entry.kind}, which is not looked at')
+        if late := _later(plant, entry):
+            return Case(lost, 'not closed', f'the one for {entry.channel} reads {late}, which '
+                        'tells of an earlier time than it would')
     sensors = [entry for entry in entries if isinstance(entry, VirtualSensor)]
     h = law.sample_time
     here = machine(plant, plant, sensors, controller.unheard)
@@ -227,6 +227,12 @@ def _case(plant: Plant, result: Design, controller: Controller, law: Law, errors
                                             forgotten, around)
 
 
+def _later(plant: Plant, sensor: VirtualSensor) -> str:
+    """Return a sensor that it reads and that is later than its own channel, or ''."""
+    late = dict(zip(plant.sensors, plant.sensor_delay))
+    return next((name for name in sensor.reads if late[name] > late[sensor.channel]), '')
+
+
 def _steps(plant: Plant, here: Machine, errors: Errors, h: float | None, added: bool) -> Steps:
     """Return what the controller has before it; `added`: with what is added to the commands."""
     m = len(plant.inputs)
@@ -234,8 +240,8 @@ def _steps(plant: Plant, here: Machine, errors: Errors, h: float | None, added: 
     columns = np.block([[one, one], [one, none]]) if added else np.vstack([one, one])
     if h is None:
         return as_it_is(here, columns, errors)
-    return sampled(here, columns, errors, np.tile(plant.input_delay, 1 + added), h,
-                   plant.sample_time)
+    late = Late(np.tile(plant.input_delay, 1 + added), plant.sensor_delay)
+    return sampled(here, columns, errors, late, h, plant.sample_time)
 
 
 def _around(plant: Plant, law: Law, errors: Errors, controller: Controller,
