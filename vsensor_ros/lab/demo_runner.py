@@ -69,6 +69,8 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
         if verdict.passed or run.in_time or last:
             break
         say('  this computer was too busy to play the machine in time: once more')
+    if not (verdict.passed or run.in_time):
+        say('  it was too busy again, so what follows says nothing of the replacer')
     for line in told_of(scenario, run):
         say(f'  {line}')
     update('drawing the picture')
