@@ -294,6 +294,33 @@ def test_a_filter_does_what_no_pair_can_and_a_bank_runs_it(bench, designed):
     assert moved[5 * rate:6 * rate].max() > 5.0 and moved[-1] < 1e-3 and not gain_of(r, 'angle')
 
 
+@pytest.mark.slow
+def test_injected_faults_with_square_roots_and_an_unknown_flow(bench, designed):
+    """Of the nonlinear discrete tank: who is not felt moves nothing, to the last bit."""
+    plant = load('three_tank_discrete')
+    result, steps = designed(plant, isolate=True), 200
+    t = np.arange(steps + 1.0)
+    u = np.tile([0.6, 0.1], (steps + 1, 1))
+    rho = 0.03 * np.sin(t / 9)[:, None]
+    x = simulate(plant, t, u, rho, x0=[3.0, 2.0, 1.0])
+    said = dict(zip(plant.sensors, readings(plant, t, x, u, rho).T))
+
+    def heard(r, faulty=None):
+        heard = {s: y + 0.1 * (s == faulty) for s, y in said.items()}
+        run = bench.run(Bank(result.isolating(), 1.0, 5.0), (r.fault_set, r.channel), 1.0, heard,
+                        {'u1': lambda at: u[int(at), 0], 'u2': lambda at: u[int(at), 1]})
+        return heard[r.channel] - run if r.channel in heard else run
+    for r in result.isolability.residuals:
+        quiet = heard(r)
+        assert abs(quiet[-1]) < 1e-5
+        for sensor in plant.sensors:
+            loud = heard(r, sensor)
+            if sensor in r.support:
+                assert abs(loud[-1]) > 1e-3
+            else:
+                assert np.array_equal(loud, quiet, equal_nan=True)
+
+
 def test_noise_is_as_designed(designed):
     """The residuals of a discrete plant, with the noise that it was designed for."""
     plant = Plant.from_matrices(
