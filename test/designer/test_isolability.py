@@ -112,12 +112,12 @@ def test_gaps_name_the_unknown_inputs_that_are_enough(designed):
         'rho2')
 
 
-def test_a_fault_that_may_be_taken_for_another_only_one_way():
-    """y1 = x1 is checked by y2 = x1 + x2 alone, of which there is a second."""
+def test_what_is_told_from_faults_of_two_others():
+    """Two states that only their sensors tell, of each two, and a sensor of their sum."""
     plant = Plant.from_matrices(-np.eye(2), None, [[1, 0], [1, 0], [0, 1], [0, 1], [1, 1]],
                                 D=np.eye(2))
     assert {how for pair, how in told(plant).items() if len(pair) == 2} == {STRONG}
-    # of two that fail together a third one is told only while two others check it
+    # beside two a third is told only while others check it
     more = told(plant, [('y1', 'y2'), ('y1', 'y3'), ('y3', 'y4')])
     assert more['y5', 'y3', 'y4'] == NONE and more['y3', 'y1', 'y2'] == STRONG
 
@@ -180,6 +180,8 @@ def test_who_knows_less_tells_less(plant):
     """What others hide, more others hide; units of the sensors and states change nothing."""
     names = plant.sensors
     less = told(plant)
+    for s, o in (pair for pair in less if len(pair) == 2 and less[pair[1],] != NONE):
+        assert less[s,] == NONE or (less[s, o] == NONE) == (less[o, s] == NONE)
     for pair, how in told(plant, [(a, b) for i, a in enumerate(names)
                                   for b in names[i + 1:] if len(names) > 2]).items():
         assert STRENGTHS.index(how) <= min(STRENGTHS.index(less[pair[0], o]) for o in pair[1:])
