@@ -74,6 +74,17 @@ def test_a_refusal_names_the_least_set_that_lost_the_channel():
     (Reason.of('mode stays', size=1.0, discrete=True, states=('x',), healthy=(), terms=False),
      'no sensor is left for the mode of modulus 1 in x, which does not surely die out by itself: '
      'an initial error would stay'),
-    (Reason.of('rows decoupled', rows=(1, 3)), 'rows 1, 3 decoupled from all; the others')])
+    (Reason.of('rows decoupled', rows=(1, 3)), 'rows 1, 3 decoupled from all; the others'),
+    (Reason.of('taken for', sensor='a', other='b', names=('p', 'q'), terms=False),
+     'a fault of a may be taken for one of b: everything that checks a without b is disturbed by '
+     'p and q'),
+    (Reason.of('not seen', sensor='a', other='', names=('sign(x)',), terms=True),
+     'a: no fault of it is seen: everything that checks a depends on sign(x), of which nobody '
+     'tells the argument'),
+    (Reason.of('bias taken for', sensor='a', others=('b', 'c')),
+     'a: jumps, freezes and noise are told from faults of b and c; a constant bias is not'),
+    (Reason.of('not built', sensor='a', others=('b',), strength='weak'),
+     'a constant bias of a could be told from faults of b, but no filter for it passed its '
+     'checks')])
 def test_sentences(reason, text):
     assert say(reason) == text

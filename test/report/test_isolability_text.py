@@ -49,7 +49,7 @@ def test_marks_say_what_the_plant_allows_and_the_residuals_do_not():
         [(STRONG, 'yes'), ('', '-'), (NONE, '(onset)')],
         [(WEAK, '(yes)'), (NONE, 'no'), ('', '-')]]
     assert isolability_text.summary(found) == (
-        '1 residual of virtual sensors tell 0 of the 1 ordered pairs that the plant allows, of 2')
+        '1 residual of virtual sensors tells 0 of the 1 ordered pairs that the plant allows, of 2')
 
 
 def test_the_answer_of_many_sensors_has_no_table_that_breaks(designed):

@@ -84,7 +84,7 @@ def separate(plant: Plant, here: Machine, sensors: Sequence[VirtualSensor]) -> b
 
     Then the poles of the loop are those with healthy sensors, and the eigenvalues of N. It takes a
     virtual sensor that hears the command which the plant gets, and a model that is right. Source:
-    the method, 3.13.
+    the method, 3.14.
     """
     n, m = len(plant.states), len(plant.inputs)
     first = n

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from vsensor_ros.designer.isolability import blind_to, Checks, checks
 from vsensor_ros.observers import Isolability, NONE, STRENGTHS, STRONG, WEAK
@@ -27,7 +28,7 @@ def gaps(plant: Plant, found: Isolability) -> tuple[Reason, ...]:
         both = [i for i in alike if allowed.get((i, (s,))) == NONE and allowed[i, ()] != NONE]
         reasons += [_of_two(plant, every, s, i) for i in both
                     if plant.sensors.index(s) < plant.sensors.index(i)]
-        reasons += [_cause(plant, checks(blind_to(plant, (i,))), 'taken for', s, i)
+        reasons += [Reason.of('taken for', **_cause(plant, checks(blind_to(plant, (i,))), s, i))
                     for i in alike if i not in both]
         biased = tuple(i for i in plant.sensors if allowed.get((s, (i,))) == WEAK)
         if biased and allowed[s, ()] == STRONG:
@@ -37,24 +38,24 @@ def gaps(plant: Plant, found: Isolability) -> tuple[Reason, ...]:
 
 def _of_one(plant: Plant, every: Checks, sensor: str, strength: str) -> Reason | None:
     if strength == NONE:
-        return _cause(plant, every, 'not seen', sensor, '')
+        return Reason.of('not seen', **_cause(plant, every, sensor, ''))
     return Reason.of('bias not seen', sensor=sensor) if strength == WEAK else None
 
 
 def _of_two(plant: Plant, every: Checks, sensor: str, other: str) -> Reason:
     if len(every.known.R) == 1:
         return Reason.of('one residual', sensor=sensor, other=other)
-    return _cause(plant, checks(blind_to(plant, (other,))), 'alike', sensor, other)
+    return Reason.of('alike', **_cause(plant, checks(blind_to(plant, (other,))), sensor, other))
 
 
-def _cause(plant: Plant, found: Checks, code: str, sensor: str, other: str) -> Reason:
+def _cause(plant: Plant, found: Checks, sensor: str, other: str) -> dict[str, Any]:
     """Name the unknown inputs that alone are enough, else all; or terms that nobody can tell."""
     others = found.problem.fault_set
     alone = [name for i, name in enumerate(plant.disturbances)
              if checks(blind_to(_disturbed_by(plant, i), others)).strengths()[sensor] == NONE]
     terms = tuple(plant.terms[i].name for i in sorted(found.forced))
     names = tuple(alone) or (plant.disturbances if not terms else ())
-    return Reason.of(code, sensor=sensor, other=other, names=names or terms, terms=not names)
+    return {'sensor': sensor, 'other': other, 'names': names or terms, 'terms': not names}
 
 
 def _disturbed_by(plant: Plant, i: int) -> Plant:

@@ -25,6 +25,8 @@ from vsensor_ros.observers import (
 )
 from vsensor_ros.plant import Plant
 
+MOST_PAIRS = 30  # that are designed
+
 
 def isolated(plant: Plant, designed: Design,
              again: Callable[[list[tuple[str, ...]]], Design],
@@ -80,7 +82,11 @@ def _poor(found: Isolability, of: Innovations,
 
 def _pairs(plant: Plant, designed: Design,
            allowed: tuple[Distinction, ...]) -> list[tuple[str, ...]]:
-    """Return the pairs whose virtual sensors tell one from the other, which nothing does yet."""
+    """
+    Return the pairs whose virtual sensors tell one from the other, which nothing does yet.
+
+    None where there would be too many: one filter a sensor does the same.
+    """
     found = Isolability(_agreed(residuals(plant, designed.each_once()), allowed))
     pairs: dict[tuple[str, ...], None] = {}
     for d in _missing(found, (d for d in allowed if len(d.others) == 1)):
@@ -89,6 +95,8 @@ def _pairs(plant: Plant, designed: Design,
         if pair not in designed.fault_sets and pair not in pairs and examine(
                 pose(plant, pair, d.sensor)).obstruction is None:
             pairs[pair] = None
+        if len(pairs) > MOST_PAIRS:
+            return []
     return sorted(pairs, key=lambda pair: [plant.sensors.index(s) for s in pair])
 
 

@@ -20,9 +20,10 @@ def summary(found: Isolability) -> str:
     done = [d for d in allowed if found.by_residuals(d.sensor, d.others) == d.strength]
     count = len(found.residuals) - len(found.filters)
     of_filters = f' and {len(found.filters)} dedicated filter{"s" * (len(found.filters) > 1)}'
+    one = len(found.residuals) == 1
     return (f'{count} residual{"s" * (count != 1)} of virtual sensors'
-            f'{of_filters if found.filters else ""} tell {len(done)} of the {len(allowed)} '
-            f'ordered pairs that the plant allows, of {len(singles)}')
+            f'{of_filters if found.filters else ""} tell{"s" * one} {len(done)} of the '
+            f'{len(allowed)} ordered pairs that the plant allows, of {len(singles)}')
 
 
 def table(found: Isolability, sensors: Sequence[str]) -> list[list[tuple[str, str]]]:
