@@ -199,6 +199,8 @@ def seconds(value: float) -> str:
 def rate(decay: float, entry: Entry, unit: str = '') -> str:
     """Say how fast errors die out, of an entry or a rung of its ladder."""
     step = entry.sample_time if isinstance(entry, VirtualSensor) else None
+    if entry.grade == 'temporary':
+        return 'none'
     if np.isinf(decay):
         return 'at once'
     return 'dead beat' if step is not None and decay * step > DEAD else number(decay, unit)
