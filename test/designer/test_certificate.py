@@ -206,7 +206,7 @@ def test_terms_with_measured_arguments_only_count_in_the_bound():
     c = certify(*system([[-1.0]], [[1.0]], ['w1**2'], **term, ranges=[[-9, 9], [-1, 2]]))
     assert c.status == 'global' and c.region == ()
     assert c.bound == pytest.approx(1 + 2 * 4, rel=1e-3)
-    assert 'while states and inputs stay in the given ranges' in c.reason
+    assert 'while states, readings and inputs stay in the given ranges' in c.reason
 
 
 # ---------------------------------------------------------------------- the papers' cases
