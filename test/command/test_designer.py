@@ -270,6 +270,42 @@ def test_stability_is_never_silent(certificate, needle, designed):
         answer(replace(result, entries={(('y2',), 'y2'): v})), 'y2 [rad/s]: can')
 
 
+def test_what_is_not_certified_says_so_in_the_first_line(designed):
+    result = designed(load_plant(SERVO), [('y2',)])
+    nothing = Certificate('none', 0.0, np.inf, np.zeros((1, 1)), (), None, 'it drives the motion')
+    v = replace(result['y2', 'y2'], certificate=nothing)
+    said = answer(replace(result, entries={(('y2',), 'y2'): v}))
+    assert 'y2 [rad/s]: can be replaced, BUT NOT CERTIFIED: it drives the motion\n' in said
+
+
+def test_figures_and_times_are_written_as_people_do():
+    assert [design_text.number(v) for v in (1459.6, 999.7, 0.00123, 2.5e6, -1.23456e4)] == [
+        '1460', '1000', '0.00123', '2.5e+06', '-12300']
+    assert [design_text.seconds(v) for v in (449.0, 1800.0, 24000.0, 3e6, np.inf)] == [
+        '449 s', '30 min', '6.67 h', '34.7 days', 'inf s']
+
+
+def test_a_dead_beat_is_called_so_on_every_rung(tmp_path, capsys):
+    """A pipe of three pieces, measured at both ends."""
+    plant = tmp_path / 'pipe.yaml'
+    plant.write_text("""
+name: pipe
+time: {sample_time: 60}
+states: {hot: {}, a: {}, b: {}, c: {}}
+inputs: {burner: {operating: 1}}
+dynamics: {hot: 0.9*hot + burner, a: hot, b: a, c: b}
+sensors: {flow: {measures: hot, noise: 0.2}, back: {measures: c, noise: 0.2}}
+""")
+    assert main([str(plant), '-o', str(tmp_path / 'x'), '--fault-set', 'back']) == 0
+    said = capsys.readouterr().out
+    assert 'decay             dead beat (an error is down to 5 % in 180 s)' in said
+    v = Design.load(tmp_path / 'x')['back', 'back']
+    text = answer(replace(Design.load(tmp_path / 'x'), entries={(('back',), 'back'): replace(
+        v, ladder=(replace(v.ladder[0], order=1, decay=0.01), v.ladder[0]))}))
+    assert 'order 1: noise error' in text and ', decay 0.01 1/s\n' in text
+    assert ', decay dead beat <- this one\n' in text
+
+
 def test_many_eigenvalues_are_shortened(designed):
     result = designed(load_plant(SERVO), [('y2',)])
     v = result['y2', 'y2']

@@ -73,6 +73,15 @@ def test_what_is_no_equilibrium_is_said_with_the_input_that_would_make_it_one(tm
     assert any('rad/s a step; it would be' in line for line in minded(tmp_path, sampled)[1])
 
 
+def test_what_no_term_depends_on_may_drift(tmp_path):
+    """A tyre that loses air slowly, beside an angle: no slope is taken of it."""
+    tyre = PENDULUM.replace('inputs:', '  tyre: {initial: 2.4}\ninputs:').replace(
+        '- 2*sign(speed)', '').replace('sensors:', '  tyre: -1e-6*tyre\nsensors:\n  tpms: tyre')
+    assert not any('equilibrium' in line for line in minded(tmp_path, tyre)[1])
+    felt = tyre.replace('5*torque', '5*torque - 0.1*sin(tyre)')
+    assert any('tyre -2.4e-06 per s' in line for line in minded(tmp_path, felt)[1])
+
+
 def test_no_input_may_make_it_one(tmp_path):
     text = PENDULUM.replace('angle: speed\n', 'angle: speed - sin(angle)\n')
     lines = minded(tmp_path, text + 'operating_point: {angle: 0.5}\n')[1]

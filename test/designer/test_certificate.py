@@ -206,7 +206,7 @@ def test_terms_with_measured_arguments_only_count_in_the_bound():
     c = certify(*system([[-1.0]], [[1.0]], ['w1**2'], **term, ranges=[[-9, 9], [-1, 2]]))
     assert c.status == 'global' and c.region == ()
     assert c.bound == pytest.approx(1 + 2 * 4, rel=1e-3)
-    assert 'while states and inputs stay in the given ranges' in c.reason
+    assert 'while states, readings and inputs stay in the given ranges' in c.reason
 
 
 # ---------------------------------------------------------------------- the papers' cases
@@ -321,6 +321,22 @@ def test_where_no_bound_can_be_had_it_is_said_why():
     away = certify(replace(steep[0], ranges=np.array([[-9, 9], [0.25, 10]])), steep[1])
     assert away.bound == pytest.approx(1.0 + 1.0, rel=1e-2)
     assert 'slope without bound' not in away.reason
+    endless = certify(replace(steep[0], ranges=np.tile([-np.inf, np.inf], (2, 1))), steep[1])
+    assert 'a slope without bound: give x2 a range' in endless.reason
+
+
+@pytest.mark.parametrize('top', [2.0, 8.0])
+def test_a_bound_on_the_ranges_where_there_is_none_everywhere(top):
+    """E' = -e - (|x|x - |x-e|(x-e)) - (a b - a'b'): errors of a, b by 1 are up to 2 top + 1."""
+    plant, sensor = system(
+        [[-1]], [[0.0, 0.0]], ['w1*abs(w1)', 'w1*w2'], [[-1.0, -1.0]],
+        [[[1.0]], [[0.0], [0.0]]], [[[0.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]],
+        ranges=[[-9, 9], [-top, top], [-top, top]])
+    c = certify(plant, sensor)
+    assert c.status == 'global' and 'its bound holds while states' in c.reason
+    assert 2 * top <= c.bound <= 3 * top
+    endless = certify(replace(plant, ranges=np.tile([-np.inf, np.inf], (3, 1))), sensor)
+    assert endless.bound == np.inf and 'give x2 and x3 a range' in endless.reason
 
 
 def test_a_sign_that_reads_a_wrong_argument_may_hold_the_error_there():

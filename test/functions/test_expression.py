@@ -20,6 +20,7 @@ from vsensor_ros.functions.expression import (
     parse,
     substitute,
     to_text,
+    to_words,
 )
 
 RELAXED = settings(deadline=None, suppress_health_check=[
@@ -230,3 +231,20 @@ def test_gradient_is_the_limit_of_difference_quotients(node, x, y):
     for i, name in enumerate(('x', 'y')):
         up, down = (gradient(node, {**at, name: at[name] + s * h}, ())[0] for s in (1, -1))
         assert slope[i] == pytest.approx((up - down) / (2 * h), rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('-(2*x) + 3', '-2*x + 3'), ('x - -(2*y)', 'x - -2*y'), ('-(x**2)', '-x**2'),
+    ('(-x)**2', '(-x)**2'), ('-(x + y)', '-(x + y)'), ('1.0000000001*x + 2', 'x + 2'),
+    ('x*-(2*y)', 'x*(-2*y)'), ('0.3333333333333*x', '0.333333*x'), ('-k*x', '-k*x'),
+    ('2*pi*k**2*x', '2*pi*k**2*x'), ('sin(x)/(1 - k/4)', 'sin(x)/(1 - k/4)'),
+    ('bend(k*x)', 'bend(k*x)'), ('bend(2) + x', 'bend(2) + x')])
+def test_words_are_those_of_who_wrote_it_and_mean_the_same(text, words):
+    """Parameters and tables keep their names, whatever becomes of their numbers."""
+    tables = {'bend': ('table', tuple(map(Number, (0.0, 1.0, 2.0, 5.0))))}
+    node = fold(substitute(parse(text, tables=tables), {'k': 3.0}))
+    assert to_words(node) == words and 'k' not in names(node)
+    again = substitute(parse(words, tables=tables), {'k': 3.0})
+    values = [1.3, 1.7]
+    assert compile_expression(again, ('x', 'y'))(values) == pytest.approx(
+        compile_expression(node, ('x', 'y'))(values), rel=1e-5)

@@ -25,19 +25,24 @@ from vsensor_ros.designer.error_in_box import (
     error_system,
     feeding_terms,
     image,
-    INFINITE_SLOPE,
     joint_system,
     slope_bounds,
     used_inputs,
     used_states,
 )
 from vsensor_ros.designer.error_system import decay_rate, ErrorSystem
-from vsensor_ros.designer.form_search import ceiling, LARGEST_ORDER, lyapunov, search
+from vsensor_ros.designer.form_search import ceiling, lyapunov, search
 from vsensor_ros.designer.lipschitz import lipschitz
 from vsensor_ros.designer.natural_size import reaches
+from vsensor_ros.designer.obstacles import (
+    listed_once,
+    obstacle,
+    runaway,
+    steep_readings,
+    term_names,
+)
 from vsensor_ros.designer.peak_to_peak import peak_bound
-from vsensor_ros.designer.quadratic_form import Form
-from vsensor_ros.designer.slopes import jumps
+from vsensor_ros.designer.quadratic_form import bound_on, Form
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.uncovered import uncovered
 from vsensor_ros.observers import Certificate, Limit, VirtualSensor
@@ -51,6 +56,7 @@ LEAST = 1e-3  # of that rate: what falls more slowly does not count as falling
 ROOM = 1.1  # eigenvalues must allow so much more, or a form is not looked for
 PLENTY = 1.5  # of that
 MOST_TRIED = 4  # virtual sensors in one box
+BOUND_ON_RANGES = '; its bound holds while states, readings and inputs stay in the given ranges'
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
 Box = tuple[np.ndarray, np.ndarray]  # of states (n, 2) and inputs (m, 2)
 
@@ -88,12 +94,21 @@ def everywhere(plant: Plant, sensor: VirtualSensor) -> Certificate | None:
     error = error_system(sensor, bounds)
     if not feeding_terms(sensor):
         return _linear(plant, sensor, error)
-    if _runaway(sensor, bounds):
+    if runaway(sensor, bounds):
         return None
     form = search(error, LEAST * _rate_here(plant, sensor))
-    return None if form is None else _certificate('global', form, sensor, bounds, (), _said(
-        sensor, 'one quadratic form of the error falls for every slope that '
-        f'{_listed(_term_names(sensor))} can have anywhere'))
+    if form is None:
+        return None
+    reason = ('one quadratic form of the error falls for every slope that '
+              f'{listed_once(term_names(sensor))} can have anywhere')
+    if not np.isfinite(form.bound):
+        near = slope_bounds(plant, sensor, plant.ranges, plant.input_range)
+        bound = bound_on(error_system(sensor, near), form.L, form.rate)
+        if np.isfinite(bound):
+            form, reason = replace(form, bound=bound), reason + BOUND_ON_RANGES
+        else:
+            reason += steep_readings(plant, sensor, near)
+    return _certificate('global', form, sensor, bounds, (), _said(sensor, reason))
 
 
 def on_ranges(plant: Plant, sensor: VirtualSensor, share: float = 0.0) -> Certificate | None:
@@ -149,7 +164,7 @@ def nowhere(plant: Plant, sensor: VirtualSensor, reason: str = '') -> Certificat
            else _box(plant, REACHES[-1]))
     bounds = slope_bounds(plant, sensor, *box)
     place = 'in the given ranges' if ranged else 'near the operating point'
-    return _none(sensor, bounds, reason or _obstacle(plant, sensor, bounds, box, place),
+    return _none(sensor, bounds, reason or obstacle(plant, sensor, bounds, box, place),
                  uncovered(plant, sensor, None))
 
 
@@ -182,9 +197,11 @@ def _in_region(plant: Plant, sensor: VirtualSensor, form: Form, box: Box) -> Cer
     where = together((plant.inputs[j], low, high) if i is None else sum_place(
         {name: float(factor) for name, factor in zip(plant.states, plant.G[i][j]) if factor},
         low, high) for i, j, low, high in region)
+    reason = 'it holds only while plant and estimate both keep within these limits'
+    if not np.isfinite(form.bound):
+        reason += steep_readings(plant, sensor, bounds)
     return replace(
-        _certificate('region', form, sensor, bounds, region, _said(
-            sensor, 'it holds only while plant and estimate both keep within these limits')),
+        _certificate('region', form, sensor, bounds, region, _said(sensor, reason)),
         uncovered=uncovered(plant, sensor, box), where=where)
 
 
@@ -195,7 +212,7 @@ def _ranged(plant: Plant, sensor: VirtualSensor) -> bool:
 
 
 def _runs_away(plant: Plant, sensor: VirtualSensor) -> str:
-    return _runaway(sensor, slope_bounds(plant, sensor, *_unlimited(plant)))
+    return runaway(sensor, slope_bounds(plant, sensor, *_unlimited(plant)))
 
 
 def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certificate | None:
@@ -206,12 +223,13 @@ def _linear(plant: Plant, sensor: VirtualSensor, error: ErrorSystem) -> Certific
         return None
     reason = 'its error is linear and dies out from every start'
     if len(error.loose.p.T) or len(error.rising.p.T):
-        near = error_system(sensor, slope_bounds(plant, sensor, plant.ranges, plant.input_range))
+        inside = slope_bounds(plant, sensor, plant.ranges, plant.input_range)
+        near = error_system(sensor, inside)
         if len(near.loose.p.T) or len(near.rising.p.T):
-            bounds = slope_bounds(plant, sensor, plant.ranges, plant.input_range)
+            reason += steep_readings(plant, sensor, inside)
         else:
             error = near
-            reason += '; its bound holds while states and inputs stay in the given ranges'
+            reason += BOUND_ON_RANGES
     form = Form(*proved, peak_bound(error, *proved))
     return _certificate('global', form, sensor, bounds, (), _said(sensor, reason))
 
@@ -255,46 +273,7 @@ def _box(plant: Plant, reach: float, wide: bool = False) -> Box:
             around(plant.operating_input, plant.input_range, inputs))
 
 
-# ------------------------------------------------------------------------------- the words
-
-def _runaway(sensor: VirtualSensor, bounds: Bounds) -> str:
-    """Name a term with a jump that pushes its own argument away from the jump, or ''."""
-    for i in feeding_terms(sensor):
-        for row, (low, high) in zip(sensor.Gz[i], bounds[i]):
-            push = float(row @ sensor.P[:, i])
-            if sensor.sample_time is None and jumps(sensor.terms[i]) and (
-                    high > INFINITE_SLOPE and push > 0 or low < -INFINITE_SLOPE and push < 0):
-                name = sensor.terms[i].short
-                return (f'{name} drives its own argument away from zero: '
-                        'two branches can stay apart')
-    return ''
-
-
-def _obstacle(plant: Plant, sensor: VirtualSensor, bounds: Bounds, box: Box,
-              place: str) -> str:
-    """Say in one clause why no form was found."""
-    for i, slopes in bounds.items():
-        for row, (low, high) in zip(sensor.Gz[i], slopes):
-            name = sensor.terms[i].short
-            steep = high > INFINITE_SLOPE, low < -INFINITE_SLOPE
-            if row.any() and all(steep):
-                return f'the slope of {name} has no bound {place}'
-            if row.any() and any(steep):
-                push = float(row @ sensor.P[:, i]) * (1.0 if steep[0] else -1.0)
-                if sensor.sample_time is not None:
-                    return (f'{name} is infinitely steep {place}, and in one step it can throw '
-                            'its argument beyond any bound')
-                if push >= 0:
-                    return (f'{name} is infinitely steep {place} and does not pull its argument '
-                            'back')
-    terms = _listed(_term_names(sensor))
-    error = joint_system(plant, sensor, bounds, *box) or error_system(sensor, bounds)
-    if error.cornered and min(decay_rate(A, sensor.sample_time) for A in error.corners()) <= 0:
-        return f'with slopes that {terms} can have {place} the error does not die out'
-    if len(sensor.N) > LARGEST_ORDER:
-        return f'more than {LARGEST_ORDER} states: only a coarser test was made, and it failed'
-    return f'no quadratic form falls for all slopes that {terms} can have {place}'
-
+# ------------------------------------------------------------------------- what is handed out
 
 def _region(plant: Plant, sensor: VirtualSensor, states: np.ndarray,
             inputs: np.ndarray) -> tuple[Limit, ...]:
@@ -313,19 +292,8 @@ def _certificate(status: str, form: Form, sensor: VirtualSensor, bounds: Bounds,
     size = max(float(np.linalg.norm(solve_triangular(form.L, row, lower=True)))
                for row in sensor.Cv)
     L = form.L * (size or 1.0)
-    steep = [] if np.isfinite(form.bound) else _steep_readings(sensor, bounds)
-    if steep:
-        reason += f'; {steep}'
     return Certificate(status, float(form.rate), float(form.bound * (1 + 1e-9)), L @ L.T, region,
                        lipschitz(sensor, bounds), reason)
-
-
-def _steep_readings(sensor: VirtualSensor, bounds: Bounds) -> str:
-    """Say which terms of readings alone are so steep that small errors have no small effect."""
-    steep = [sensor.terms[i].short for i in sensor.active for own, row, (low, high) in zip(
-        sensor.Gz[i], sensor.Gy[i], bounds[i])
-        if row.any() and not own.any() and max(-low, high) > INFINITE_SLOPE]
-    return f'{_listed(steep)} is taken of readings, and has a slope without bound' if steep else ''
 
 
 def _none(sensor: VirtualSensor, bounds: Bounds, reason: str, left: str = '') -> Certificate:
@@ -337,15 +305,6 @@ def _said(sensor: VirtualSensor, reason: str) -> str:
     if sensor.grade == 'bounded':
         reason += '; what the unknown inputs do to it comes on top'
     return reason
-
-
-def _term_names(sensor: VirtualSensor) -> list[str]:
-    return [sensor.terms[i].short for i in feeding_terms(sensor)]
-
-
-def _listed(texts: Sequence[str]) -> str:
-    texts = list(dict.fromkeys(texts))
-    return ' and '.join([', '.join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
 def _shown(value: complex) -> str:

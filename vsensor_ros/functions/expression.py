@@ -271,9 +271,11 @@ def _printed(node: Node, words: bool) -> tuple[str, int]:
         text, precedence = _printed(argument, words)
         return text if precedence >= at_least else f'({text})'
 
-    if node.function == 'neg':
-        return '-' + side(node.arguments[0], own), own
+    if node.function == 'neg':  # -2*x is the same number as -(2*x)
+        return '-' + side(node.arguments[0], own - words), own - words
     left, right = node.arguments
+    if words and node.function == '*' and _printed(left, words)[0] == '1':
+        return _printed(right, words)  # a factor that is one but for rounding
     if node.function == '**':
         return f'{side(left, 5)}**{side(right, 3)}', own
     space = ' ' if own == 1 else ''

@@ -192,17 +192,21 @@ def decay(entry: Entry) -> str:
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
     said = rate(entry.decay, entry, '1/s')
-    return f'{said} (an error is down to 5 % in {_time(settled)})'
+    return f'{said} (an error is down to 5 % in {seconds(settled)})'
 
 
-def _time(seconds: float) -> str:
-    size, unit = next((size, unit) for limit, size, unit in UNITS_OF_TIME if seconds < limit)
-    return number(seconds / size, unit)
+def seconds(value: float) -> str:
+    """Return a time of three digits, long ones in min, h or days."""
+    size, unit = next(((size, unit) for limit, size, unit in UNITS_OF_TIME if value < limit),
+                      UNITS_OF_TIME[0][1:])
+    return number(value / size, unit)
 
 
 def rate(decay: float, entry: Entry, unit: str = '') -> str:
     """Say how fast errors die out, of an entry or a rung of its ladder."""
     step = entry.sample_time if isinstance(entry, VirtualSensor) else None
+    if entry.grade == 'temporary':
+        return 'none'
     if np.isinf(decay):
         return 'at once'
     return 'dead beat' if step is not None and decay * step > DEAD else number(decay, unit)
@@ -247,7 +251,9 @@ def certificate(entry: VirtualSensor, units: Mapping[str, str]) -> list[str]:
             return ['stable everywhere: its error is linear, and the eigenvalues decide']
         return [f'not certified: judged by the linear part alone, without {terms}']
     if not entry.order:
-        said = ['certified everywhere: it is made of readings alone' + _bound(c)]
+        made = 'readings' if entry.reads else 'commands'
+        bound = _bound(c) if entry.reads else ''
+        said = [f'certified everywhere: it is made of {made} alone{bound}']
     elif c.status == 'none':
         said = [f'NOT CERTIFIED: {c.reason}']
     else:

@@ -38,8 +38,10 @@ def good_for(entry: VirtualSensor, allowed: list[float], unit: str) -> str:
             said.append(f'for years {to}')
             break
         said.append(f'for {duration(seconds)} {to}' if seconds else f'never {to}')
-    first = number(float(deviation_after(entry, 0.0)), unit)
-    return f'{", ".join(said)}; {first} at the loss' if said else f'{first} at the loss'
+    first = f'{number(float(deviation_after(entry, 0.0)), unit)} at the loss'
+    assumed = entry.tracking is not None and entry.tracking.assumed
+    return '; '.join([*([', '.join(said)] if said else []), first,
+                      *['assumed noise'] * assumed])
 
 
 def learning(plant: Plant, entry: VirtualSensor, allowed: list[float], unit: str) -> str:

@@ -453,7 +453,7 @@ def _from_wrong_start(run: report_simulation.SimulatedRun, unit: str) -> str:
     goes = (f'goes from {design_text.number(first, unit)} to {design_text.number(last, unit)} in'
             if most <= RISES * first else f'rises to {design_text.number(most, unit)} and is '
             f'{design_text.number(last, unit)} after')
-    text = f'From a wrong start the error {goes} {design_text.number(run.time[-1], "s")}'
+    text = f'From a wrong start the error {goes} {design_text.seconds(run.time[-1])}'
     if run.runs_away or moved > FAR * max(most, abs(run.truth[0])):
         text += f', while the truth runs away to {design_text.number(reach, unit)}'
     elif last > STAYS * most:
