@@ -40,7 +40,7 @@ ARROWS = {  # room: what it may import besides itself
                          'commissioning'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
-DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'mujoco', 'pandas', 'pint',
+DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas', 'pint',
         'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
 
 

@@ -305,7 +305,9 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
     none = stable_members(family, base.noise.sample_time, base.decay)[1]
     if none is None:
         return step('open', Reason.of('none passes'), len(family.F))
-    return step('impossible' if none.proved else 'open', none.why, len(family.F))
+    # of what is proved of the coefficients nothing is left where their digits are rounding
+    sure = none.proved and not (exact and base.known.order > LARGE and proof[1].doubtful)
+    return step('impossible' if sure else 'open', none.why, len(family.F))
 
 
 def _how_found(problem: Problem, candidate: JudgedCandidate, sensor: VirtualSensor) -> Reason:
@@ -327,8 +329,10 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
         doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
                                          found=candidate.decay))]
     upper, modulo = min(rungs), freedom is not None and base.known.order > LARGE
-    if modulo and freedom is not None:  # where any spectrum can be had, there is a stable one
-        upper = min([upper, *(order for order, free in enumerate(freedom) if free == order)])
+    if modulo and freedom is not None:  # where all is free but the fixed modes, which decay
+        fixed = len(freedom) - 1 - (freedom[-1] or 0)
+        upper = min([upper, *(order for order, free in enumerate(freedom)
+                              if free is not None and free == order - fixed)])
     steps = sorted(steps, key=lambda s: s.order)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)
