@@ -40,8 +40,8 @@ ARROWS = {  # room: what it may import besides itself
                          'commissioning'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
-DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas', 'pint',
-        'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
+DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',
+        'pint', 'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
 
 
 def run(*command, cwd=ROOT, **environment):

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from vsensor_ros.designer.error_in_box import used_inputs, used_states
-from vsensor_ros.functions.nonlinearity import set_valued, slope_at
+from vsensor_ros.functions.nonlinearity import NonlinearTerm, set_valued, slope_at
 from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant.plant import Plant
 
@@ -87,10 +87,15 @@ def _frozen(plant: Plant, sensor: VirtualSensor, x: np.ndarray, u: np.ndarray) -
             continue
         # a term holds few of the sides: many points are the same to it
         at, same = np.unique(np.hstack([x @ plant.G[i].T, u]), axis=0, return_inverse=True)
-        r = len(term.slope)
-        slopes = np.array([slope_at(term, p[:r], plant.inputs, p[r:]) for p in at]) - term.slope
+        slopes = np.array([_slope(term, plant.inputs, tuple(p)) for p in at.tolist()]) - term.slope
         N += sensor.P[:, i, None] * (slopes @ sensor.Gz[i])[same.ravel(), None, :]
     return N
+
+
+@lru_cache(maxsize=1 << 14)  # many virtual sensors are looked at in the same points
+def _slope(term: NonlinearTerm, inputs: tuple[str, ...], at: tuple[float, ...]) -> np.ndarray:
+    r = len(term.slope)
+    return slope_at(term, at[:r], inputs, at[r:])
 
 
 def _declared(plant: Plant, sensor: VirtualSensor) -> list[Side]:
