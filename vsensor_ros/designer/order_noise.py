@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from vsensor_ros.designer.invariant_spaces import lower_bound
 from vsensor_ros.designer.noise import noise_model, usual_decay
 from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
-from vsensor_ros.designer.order_walk import by_strides, LARGE
+from vsensor_ros.designer.order_walk import by_strides, LARGE, Listed
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.sentences import say
@@ -90,8 +89,8 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     if len(problem.V) > 1:
         reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
-    proofs = _Listed(_families_by_order(base, freedom))
-    of_grounds = [_Listed(_families_by_order(g, None)) for g in where]
+    proofs = Listed(_families_by_order(base, freedom))
+    of_grounds = [Listed(_families_by_order(g, None)) for g in where]
     met = list(reserve)
 
     def chosen(k: int) -> VirtualSensor:
@@ -194,18 +193,6 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
                      found.Q * problem.y0_size / problem.v_size[:, None])
 
 
-class _Listed:
-    """What an iterator yields, by its place, as far as it is asked for."""
-
-    def __init__(self, more: Iterator[tuple[Family | None, Gap]]) -> None:
-        self._more, self._found = more, list[tuple[Family | None, Gap]]()
-
-    def at(self, k: int) -> tuple[Family | None, Gap] | None:
-        """Return the k-th, None beyond the end."""
-        self._found += islice(self._more, max(0, k + 1 - len(self._found)))
-        return self._found[k] if k < len(self._found) else None
-
-
 def _families_by_order(ground: Ground, freedom: Sequence[int | None] | None,
                        ) -> Iterator[tuple[Family | None, Gap]]:
     """Yield for k = 0, 1, .. the family of order k or None, and the gap; one functional only."""
@@ -299,7 +286,7 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
     if family is None:
         return step('impossible', Reason.of('no polynomial'))
     if family.free:
-        return step('open', Reason.of('no digits' if exact else 'any spectrum'), k)
+        return step('open', Reason.of('no digits') if exact else Reason.of('any spectrum'), k)
     if k > MOST_MODES and len(family.F):
         return step('open', Reason.of('polynomial too large'), len(family.F))
     none = stable_members(family, base.noise.sample_time, base.decay)[1]
@@ -312,8 +299,9 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
 
 def _how_found(problem: Problem, candidate: JudgedCandidate, sensor: VirtualSensor) -> Reason:
     size = float(problem.v_size.max())
-    return Reason.of('found', method=sensor.method) if candidate.error <= size else Reason.of(
-        'found of no use', method=sensor.method, error=candidate.error, size=size)
+    if candidate.error <= size:
+        return Reason.of('found', method=sensor.method)
+    return Reason.of('found of no use', method=sensor.method, error=candidate.error, size=size)
 
 
 def _numbers(gap: Gap) -> tuple[float, float]:
