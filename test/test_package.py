@@ -42,8 +42,8 @@ ARROWS = {  # room: what it may import besides itself
                          'report', 'lab', 'commissioning'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
-DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'matplotlib', 'mujoco', 'pandas', 'pint',
-        'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
+DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',
+        'pint', 'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
 
 
 def run(*command, cwd=ROOT, **environment):

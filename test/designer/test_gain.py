@@ -50,6 +50,18 @@ def test_a_peak_beside_the_fastest_frequency(c):
 
 
 @pytest.mark.parametrize('sample_time', [None, 0.1])
+def test_many_states(sample_time):
+    """Of side by side systems of one state the gains add up, and are highest when constant."""
+    rng = np.random.default_rng(0)
+    poles, T = -rng.uniform(1.0, 9.0, 70), np.linalg.qr(rng.normal(size=(70, 70)))[0]
+    still = 0.0 if sample_time is None else 1.0
+    N = T @ np.diag(poles if sample_time is None else 1.0 + sample_time * poles) @ T.T
+    gain, _ = peak(N, T @ np.ones((70, 1)), np.ones((1, 70)) @ T.T, NONE, sample_time)
+    exact = np.sum(1.0 / (still - np.linalg.eigvalsh(N)))
+    assert gain == pytest.approx(exact, rel=3e-6)
+
+
+@pytest.mark.parametrize('sample_time', [None, 0.1])
 def test_the_noise_gain_that_is_stated_is_exceeded_at_no_frequency(sample_time):
     rng = np.random.default_rng(4)
     A = rng.normal(size=(5, 5))

@@ -344,7 +344,8 @@ def verdict(A: np.ndarray, C0: np.ndarray, V: np.ndarray, D: np.ndarray, *,
     allow it when they are not short decimals, unless each number is to be taken ``as_given``, to
     its last digit. Two primes must agree.
     """
-    if not as_given and not short_decimals(*(M for M in (A, C0, V, D, Cd0, Vd, P, *G) if M is not None)):
+    given = [M for M in (A, C0, V, D, Cd0, Vd, P, *G) if M is not None]
+    if not as_given and not short_decimals(*given):
         return None
     said: list[ExactVerdict] = []
     for prime in PRIMES:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from vsensor_ros.designer.invariant_spaces import lower_bound
 from vsensor_ros.designer.noise import noise_model, usual_decay
 from vsensor_ros.designer.observer import build, Candidate
 from vsensor_ros.designer.order import families, Family
-from vsensor_ros.designer.order_walk import by_strides, LARGE
+from vsensor_ros.designer.order_walk import by_strides, LARGE, Listed
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.sentences import say
@@ -90,8 +89,8 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     if len(problem.V) > 1:
         reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
     bound = _least_rows(where)
-    proofs = _Listed(_families_by_order(base, freedom))
-    of_grounds = [_Listed(_families_by_order(g, None)) for g in where]
+    proofs = Listed(_families_by_order(base, freedom))
+    of_grounds = [Listed(_families_by_order(g, None)) for g in where]
     met = list(reserve)
 
     def chosen(k: int) -> VirtualSensor:
@@ -194,18 +193,6 @@ def _single(problem: Problem, avoid: frozenset[int], prefer: str,
                      found.Q * problem.y0_size / problem.v_size[:, None])
 
 
-class _Listed:
-    """What an iterator yields, by its place, as far as it is asked for."""
-
-    def __init__(self, more: Iterator[tuple[Family | None, Gap]]) -> None:
-        self._more, self._found = more, list[tuple[Family | None, Gap]]()
-
-    def at(self, k: int) -> tuple[Family | None, Gap] | None:
-        """Return the k-th, None beyond the end."""
-        self._found += islice(self._more, max(0, k + 1 - len(self._found)))
-        return self._found[k] if k < len(self._found) else None
-
-
 def _families_by_order(ground: Ground, freedom: Sequence[int | None] | None,
                        ) -> Iterator[tuple[Family | None, Gap]]:
     """Yield for k = 0, 1, .. the family of order k or None, and the gap; one functional only."""
@@ -299,19 +286,22 @@ def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
     if family is None:
         return step('impossible', Reason.of('no polynomial'))
     if family.free:
-        return step('open', Reason.of('no digits' if exact else 'any spectrum'), k)
+        return step('open', Reason.of('no digits') if exact else Reason.of('any spectrum'), k)
     if k > MOST_MODES and len(family.F):
         return step('open', Reason.of('polynomial too large'), len(family.F))
     none = stable_members(family, base.noise.sample_time, base.decay)[1]
     if none is None:
         return step('open', Reason.of('none passes'), len(family.F))
-    return step('impossible' if none.proved else 'open', none.why, len(family.F))
+    # of what is proved of the coefficients nothing is left where their digits are rounding
+    sure = none.proved and not (exact and base.known.order > LARGE and proof[1].doubtful)
+    return step('impossible' if sure else 'open', none.why, len(family.F))
 
 
 def _how_found(problem: Problem, candidate: JudgedCandidate, sensor: VirtualSensor) -> Reason:
     size = float(problem.v_size.max())
-    return Reason.of('found', method=sensor.method) if candidate.error <= size else Reason.of(
-        'found of no use', method=sensor.method, error=candidate.error, size=size)
+    if candidate.error <= size:
+        return Reason.of('found', method=sensor.method)
+    return Reason.of('found of no use', method=sensor.method, error=candidate.error, size=size)
 
 
 def _numbers(gap: Gap) -> tuple[float, float]:
@@ -327,8 +317,10 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
         doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
                                          found=candidate.decay))]
     upper, modulo = min(rungs), freedom is not None and base.known.order > LARGE
-    if modulo and freedom is not None:  # where any spectrum can be had, there is a stable one
-        upper = min([upper, *(order for order, free in enumerate(freedom) if free == order)])
+    if modulo and freedom is not None:  # where all is free but the fixed modes, which decay
+        fixed = len(freedom) - 1 - (freedom[-1] or 0)
+        upper = min([upper, *(order for order, free in enumerate(freedom)
+                              if free is not None and free == order - fixed)])
     steps = sorted(steps, key=lambda s: s.order)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)

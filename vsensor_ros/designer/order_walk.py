@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
+from typing import Generic, TypeVar
 
+Found = TypeVar('Found')
 LARGE = 100  # states, beyond which not every order is looked at
 
 
@@ -23,3 +26,16 @@ def by_strides(good: Callable[[int], bool], first: int, last: int) -> int | None
         middle = (bad + k) // 2
         bad, k = (bad, middle) if good(middle) else (middle, k)
     return k
+
+
+class Listed(Generic[Found]):
+    """What an iterator yields, by its place, as far as it is asked for."""
+
+    def __init__(self, more: Iterator[Found]) -> None:
+        self._more = more
+        self._found: list[Found] = []
+
+    def at(self, k: int) -> Found | None:
+        """Return the k-th, None beyond the end."""
+        self._found += islice(self._more, max(0, k + 1 - len(self._found)))
+        return self._found[k] if k < len(self._found) else None

@@ -9,8 +9,7 @@ from itertools import product
 import numpy as np
 
 from vsensor_ros.designer.error_in_box import used_inputs, used_states
-from vsensor_ros.designer.error_system import decay_rate
-from vsensor_ros.designer.observer import linearised
+from vsensor_ros.functions.nonlinearity import NonlinearTerm, set_valued, slope_at
 from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.plant.plant import Plant
 
@@ -62,17 +61,41 @@ def unstable_at(plant: Plant, sensor: VirtualSensor) -> str:
 
 def _worst(plant: Plant, sensor: VirtualSensor, sides: Sequence[Side],
            points: Iterable[Sequence[float]]) -> str:
-    worst, where = ROUNDING * abs(sensor.decay), ''
-    for values in points:
-        x, u = plant.operating_point.copy(), plant.operating_input.copy()
-        for (_, is_input, j, _), value in zip(sides, values):
-            (u if is_input else x)[j] = value
-        grows = -decay_rate(linearised(plant, sensor, x, u)[0], sensor.sample_time)
-        if grows > worst:
-            at = [f'{name} = {value:.4g} {plant.units.get(name, "")}'.rstrip()
-                  for (name, *_), value in zip(sides, values)]
-            worst, where = grows, f'{", ".join(at)}, where an error grows at {grows:.3g} 1/s'
-    return where
+    points = list(points)
+    x = np.tile(plant.operating_point, (len(points), 1))
+    u = np.tile(plant.operating_input, (len(points), 1))
+    for (_, is_input, j, _), values in zip(sides, zip(*points)):
+        (u if is_input else x)[:, j] = values
+    modes = np.linalg.eigvals(_frozen(plant, sensor, x, u))
+    h = sensor.sample_time
+    grows = (modes.real.max(axis=1) if h is None else
+             np.log(np.maximum(np.abs(modes).max(axis=1), 1e-12)) / h)
+    worst = int(np.argmax(grows))
+    if not grows[worst] > ROUNDING * abs(sensor.decay):
+        return ''
+    at = [f'{name} = {value:.4g} {plant.units.get(name, "")}'.rstrip()
+          for (name, *_), value in zip(sides, points[worst])]
+    return f'{", ".join(at)}, where an error grows at {grows[worst]:.3g} 1/s'
+
+
+def _frozen(plant: Plant, sensor: VirtualSensor, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return N (m, k, k) with the terms' slopes at points x (m, n) and u, as ``linearised``."""
+    N = np.tile(sensor.N, (len(x), 1, 1))
+    for i in sensor.active:
+        term = sensor.terms[i]
+        if set_valued(term) and sensor.sample_time is None:
+            continue
+        # a term holds few of the sides: many points are the same to it
+        at, same = np.unique(np.hstack([x @ plant.G[i].T, u]), axis=0, return_inverse=True)
+        slopes = np.array([_slope(term, plant.inputs, tuple(p)) for p in at.tolist()]) - term.slope
+        N += sensor.P[:, i, None] * (slopes @ sensor.Gz[i])[same.ravel(), None, :]
+    return N
+
+
+@lru_cache(maxsize=1 << 14)  # many virtual sensors are looked at in the same points
+def _slope(term: NonlinearTerm, inputs: tuple[str, ...], at: tuple[float, ...]) -> np.ndarray:
+    r = len(term.slope)
+    return slope_at(term, at[:r], inputs, at[r:])
 
 
 def _declared(plant: Plant, sensor: VirtualSensor) -> list[Side]:
