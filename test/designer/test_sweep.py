@@ -4,7 +4,9 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import contextmanager
 from copy import copy
 import os
+from pathlib import Path
 import signal
+import subprocess
 import sys
 from threading import Barrier, Timer
 import time
@@ -362,6 +364,22 @@ def test_left_by_an_exception_processes_end_at_once():
     assert isinstance(endless.exception(), BrokenExecutor)
     with pytest.raises(ProcessLookupError):
         os.kill(pids[0], 0)
+
+
+@pytest.mark.slow
+def test_a_script_that_starts_itself_again_is_told_so(tmp_path):
+    script = tmp_path / 'script.py'
+    script.write_text("""
+from vsensor_ros.designer.processes import Processes
+with Processes(1) as executor:
+    executor.submit(int).result()
+""")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300,
+                          env={**os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])})
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        'concurrent.futures.process.BrokenProcessPool: a process ended as it started; a script '
+        "that uses them needs if __name__ == '__main__':")
 
 
 def test_threads_are_calm_until_the_last_has_left():

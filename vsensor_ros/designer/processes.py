@@ -63,11 +63,20 @@ class Processes(Executor):
             raise
 
     def _started(self) -> ProcessPoolExecutor:
+        if self._stopped:
+            raise BrokenProcessPool('no process is started any more')
         pool = ProcessPoolExecutor(1, get_context('spawn'), initializer=_prepare)
         with self._lock, _environment(ONE_THREAD):
             self._pools.append(pool)
             first = pool.submit(os.getpid)  # when this returns the process has its environment
-        pid = first.result()
+        try:
+            pid = first.result()
+        except BrokenProcessPool:
+            if not self._pids:  # the next would do the same
+                self._stopped = True
+                raise BrokenProcessPool('a process ended as it started; a script that uses them '
+                                        "needs if __name__ == '__main__':") from None
+            raise
         with self._lock:
             self._pids.add(pid)
             if self._stopped:

@@ -81,7 +81,7 @@ class WorkFile:
                 for number, line in enumerate(lines, 1):
                     if len(line) == LARGEST_FILE:
                         raise self._fail(number, 'is longer than any answer')
-                    if not line.endswith(b'\n'):
+                    if line[-1:] != b'\n':
                         return  # of a run that was killed while it wrote
                     self._take(number, line, empty)
                     self._end = file.tell()
