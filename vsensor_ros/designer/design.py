@@ -23,6 +23,7 @@ from vsensor_ros.designer.existence import (
     examine,
     measured_signs,
 )
+from vsensor_ros.designer.extended import extended as filtered
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.sentences import say
@@ -32,7 +33,7 @@ from vsensor_ros.designer.subsystem import subsystem
 from vsensor_ros.designer.temporary import temporary as for_a_time
 from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Key, Refusal, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -45,7 +46,7 @@ METHODS = ('jordan', 'identification', 'svd')
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None, temporary: bool = True,
+           method: str | None = None, temporary: bool = True, extended: bool = True,
            progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
@@ -60,14 +61,16 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``progress`` is told what is done, of how many, and what is next.
-    Raises BadInput for what is not a name of a sensor or a
-    choice. Source: method, section 3.
+    after its channel was lost. ``extended``: where nothing is proved for all states, and the plant
+    states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
+    'filtered'. ``progress`` is told what is done, of how many, and what is next. Raises BadInput
+    for what is not a name of a sensor or a choice. Source: method, section 3.
     """
-    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary})
+    _check(plant, prefer, decay, method, {
+        'bounded': bounded, 'temporary': temporary, 'extended': extended})
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
-    entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}
+    entries: dict[Key, Entry | Refusal] = {}
     tasks = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
     for done, (fault_set, channel) in enumerate(tasks):
         if progress is not None:
@@ -76,9 +79,10 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
             part = subsystem(plant, fault_set, channel, functionals.get(channel))
             rows = functionals[channel][:, part.states] if channel in functionals else None
             problem = pose(part.plant, part.lost, channel, rows)
-            entries[fault_set, channel] = _lost_before(
-                entries, fault_set, problem) or part.entry_of_whole(_answer(
-                    problem, prefer, decay, bounded, method, temporary))
+            found = _lost_before(entries, fault_set, problem) or part.entry_of_whole(_answer(
+                problem, prefer, decay, bounded, method, temporary))
+            entries[fault_set, channel] = (filtered(plant, fault_set, channel) if extended
+                                           and not _proved(found) else None) or found
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
@@ -171,7 +175,14 @@ def _fault_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     return list(dict.fromkeys(checked))
 
 
-def _lost_before(entries: Mapping[tuple[tuple[str, ...], str], VirtualSensor | Refusal],
+def _proved(entry: VirtualSensor | Refusal) -> bool:
+    """Tell whether an answer is known to converge wherever the plant is."""
+    return isinstance(entry, VirtualSensor) and entry.grade != 'temporary' and (
+        not entry.active or (entry.certificate is not None
+                             and entry.certificate.status == 'global'))
+
+
+def _lost_before(entries: Mapping[Key, Entry | Refusal],
                  fault_set: tuple[str, ...], problem: Problem) -> Refusal | None:
     """Return the refusal that holds already with fewer faults: less knowledge mends nothing."""
     for (fewer, of), entry in entries.items():

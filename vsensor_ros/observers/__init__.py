@@ -17,6 +17,7 @@ from vsensor_ros.observers.kinds import (
     Told,
     Tracked,
 )
+from vsensor_ros.observers.kinds.extended import EXTENDED, ExtendedSensor, Model
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
 from vsensor_ros.observers.kinds.functional.convergence import settling_time
 from vsensor_ros.observers.kinds.functional.tracking import (
@@ -27,8 +28,9 @@ from vsensor_ros.observers.kinds.functional.tracking import (
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
+register(EXTENDED)
 
-__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
+__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'ExtendedSensor', 'Key', 'Kind', 'Limit', 'Model', 'Noise',
            'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
            'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
            'settling_time']

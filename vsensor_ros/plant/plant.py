@@ -83,6 +83,12 @@ class Plant:
     input_delay: np.ndarray             # (m,) s, u acts so much later than it is given
     sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
     sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
+    # intensity of white noise as process_noise, NaN where unknown:
+    input_noise: np.ndarray             # (m,), by which what acts is off the inputs
+    disturbance_noise: np.ndarray       # (d,), that the unknown inputs are
+    spreads: dict[str, float]           # by parameter not known exactly: its standard deviation
+    # with spreads, the right-hand sides over states, inputs, disturbances and those parameters
+    equations: tuple[str, ...]          # n, or ()
     remarks: tuple[str, ...]            # what is to be told of how the file was read
 
     @classmethod
@@ -101,6 +107,9 @@ class Plant:
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
                       curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
                       sensor_delay: Any = None, sensor_rate: Any = None,
+                      input_noise: Any = None, disturbance_noise: Any = None,
+                      spreads: Mapping[str, float] | None = None,
+                      equations: Sequence[str] = (),
                       remarks: Sequence[str] = (),
                       name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
@@ -118,8 +127,11 @@ class Plant:
         far off an estimate may be, by sensor. wrap (l,): of a heading that jumps at +-pi 2 pi,
         NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
         input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
-        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown. where:
-        what error lines call the source. Raises BadInput.
+        how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
+        input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
+        of parameters that are not known exactly, and with them equations: n texts over states,
+        inputs, disturbances and these parameters. where: what error lines call the source. Raises
+        BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
@@ -189,6 +201,11 @@ class Plant:
             input_delay=_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
             sensor_delay=_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
             sensor_rate=_rates(sensor_rate, len(c), where),
+            input_noise=_noise(input_noise, b.shape[1], where, 'input_noise'),
+            disturbance_noise=_noise(disturbance_noise, d.shape[1], where, 'disturbance_noise'),
+            spreads=_spreads(spreads or {}, parameters, where),
+            equations=_equations(equations, spreads or {}, (
+                *state_names, *input_names, *disturbance_names), n, where),
             remarks=tuple(check_text(text, where, 'remarks')
                           for text in _listed(remarks, where, 'remarks')))
 
@@ -227,7 +244,8 @@ class Plant:
             tolerances={name: size for name, size in self.tolerances.items() if name in names},
             wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
             curves={name: curve for name, curve in self.curves.items() if name in names},
-            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y])
+            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y],
+            disturbance_noise=self.disturbance_noise[rho], equations=())
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -294,6 +312,9 @@ class Plant:
                 sorted(curve.beside.items()))
         if self.delays() or not np.isnan(self.sensor_rate).all():
             add('delays', sorted(self.delays().items()), self.sensor_rate)
+        if self.spreads:
+            add('spreads', sorted(self.spreads.items()), self.equations, self.input_noise,
+                self.disturbance_noise)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -495,6 +516,29 @@ def _curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
                            'Curve(offset), or Curve(text=.., low=.., high=..)')
         curve.check(where, f'curves.{name}')
     return dict(given)
+
+
+def _spreads(given: Mapping[str, float], parameters: Mapping[str, float],
+             where: object) -> dict[str, float]:
+    for name in given:
+        if name not in parameters:
+            raise BadInput(where, 'spreads', f'unknown parameter {shown(name)}',
+                           suggestion(name, parameters))
+    sizes = _vector(list(given.values()), np.zeros(len(given)), where, 'spreads')
+    if not (sizes > 0.0).all():
+        raise BadInput(where, 'spreads', f'{shown(dict(given))} holds one that is not positive',
+                       'give standard deviations')
+    return dict(zip(given, sizes.tolist()))
+
+
+def _equations(given: Sequence[str], spreads: Mapping[str, float], names: Sequence[str], n: int,
+               where: object) -> tuple[str, ...]:
+    texts = tuple(_listed(given, where, 'equations'))
+    if len(texts) not in (0, n):
+        raise BadInput(where, 'equations', f'are {len(texts)}', f'give {n}, one a state')
+    for i, text in enumerate(texts):
+        parse(text, where, f'equations[{i}]', known=(*names, *spreads))
+    return texts
 
 
 def _delays(value: Any, count: int, sample_time: Any, where: object, key: str) -> np.ndarray:
