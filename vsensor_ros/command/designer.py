@@ -83,6 +83,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--no-temporary', dest='temporary', action='store_false', default=None,
                         help='refuse where a virtual sensor would serve for a time only, because '
                         'a mode stays that no healthy sensor sees')
+    parser.add_argument('--no-extended', dest='extended', action='store_false', default=None,
+                        help='no Kalman filters on the equations, of which nothing is proved, '
+                        'where the plant says how far off its parameters may be')
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
@@ -98,7 +101,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
-    names = ('up_to', 'prefer', 'decay', 'method', 'temporary')
+    names = ('up_to', 'prefer', 'decay', 'method', 'temporary', 'extended')
     chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
     return {**chosen, 'bounded': True} if options.bounded else chosen
 

@@ -3,7 +3,7 @@ Kalman filters on the plant's equations, where nothing better is proved for all 
 
 They are for plants that say how far off their parameters may be (`spread`): without that a filter
 does not know what it does not know. How the deviation grows after the loss, and how fast an error
-dies out, is told at the operating point; on the machine the filter works it out where the plant is.
+dies out, is told at the operating point; on the machine the filter finds it out where it is.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Equations:
         return self._found(at, self._run(at))
 
     def slopes(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return values (E, N) and derivatives (E, V, N); what is not finite, as at a kink, is 0."""
+        """Return values (E, N) and derivatives (E, V, N), 0 where there is none, as at a kink."""
         known = self._run(at)
         unit = np.zeros((self._count, self._count, 1))
         unit[np.arange(self._count), np.arange(self._count)] = 1.0

@@ -30,7 +30,7 @@ from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep
 register(FUNCTIONAL)
 register(EXTENDED)
 
-__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'ExtendedSensor', 'Key', 'Kind', 'Limit', 'Model', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
-           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
-           'settling_time']
+__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'ExtendedSensor', 'Key', 'Kind',
+           'Limit', 'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome',
+           'Told', 'Tracked', 'Tracking', 'VirtualSensor', 'deviation_after', 'horizon',
+           'kind_named', 'kind_names', 'register', 'settling_time']

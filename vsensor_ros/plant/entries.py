@@ -126,7 +126,7 @@ class Entries:
         return parse(value, self.path)
 
     def with_names(self, value: Any, key: str, parameters: Iterable[str]) -> Node:
-        """Return an expression that was read already, in which some parameters keep their names."""
+        """Return an expression that was read before, in which some parameters keep their names."""
         numbers = {name: v for name, v in self.parameters.items() if name not in parameters}
         return fold(substitute(substitute(self.raw(value), self.loose), numbers), self.path, key)
 
@@ -138,7 +138,8 @@ class Entries:
                 continue
             key = f'parameters.{name}.spread'
             if name in self.arrays:
-                raise self.fail(key, 'stands beside an array', 'give its numbers names of their own')
+                raise self.fail(key, 'stands beside an array',
+                                'give its numbers names of their own')
             found[name] = self.number(entry['spread'], key)
             if not found[name] > 0.0:
                 raise self.fail(key, f'{found[name]:g} is not positive',

@@ -121,7 +121,8 @@ def state_of(entry: Entry | Refusal) -> str:
     if isinstance(entry, Refusal):
         return f'cannot be {done}'
     return f'can be {done}' + {'bounded': ' within a bound, disturbed by unknown inputs',
-                               'temporary': ' for a time'}.get(entry.grade, '')
+                               'temporary': ' for a time', 'filtered':
+                               ' by a filter of which nothing is proved'}.get(entry.grade, '')
 
 
 def left_out(entry: Entry | Refusal) -> str:

@@ -21,7 +21,7 @@ add_sentences({'model lost': 'the healthy sensors say {size} times what the mode
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExtendedBatch(Batch):
-    """V filters of one output each: V that go on without their channels, then V that they track."""
+    """V filters of one output: V that go on without their channels, then V that they track."""
 
     filter: Filter
     model: Model

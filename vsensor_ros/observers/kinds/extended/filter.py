@@ -21,6 +21,7 @@ WHILE = 0.1  # s over which the mean of what sensors say beside what is expected
 # widened, beyond the other nothing is served any more. Of white noise 1 is usual; chosen on runs
 # 0 to 2 of the two-link arm, where up to 21 was seen and all was well, and on simulated ones
 MILD, LOST = 4.0, 25.0
+FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
 
 
 class Filter:
@@ -90,8 +91,9 @@ class Filter:
         """Return gains (R, n, L) and the variances of what is read beside what is expected."""
         seen = self._C @ P
         S = seen @ _turned(self._C) + self._meter
-        known = np.isfinite(S).all(axis=(1, 2))
-        S = np.where(known[:, None, None], S, np.eye(S.shape[1]))
+        known, one = np.isfinite(S).all(axis=(1, 2)), np.eye(S.shape[1])
+        # two sensors of one state that nobody knows yet differ by less than there are digits
+        S = np.where(known[:, None, None], S * (1.0 + FAINTEST * one), one)
         return _turned(np.linalg.solve(S, seen)), np.diagonal(S, axis1=1, axis2=2)
 
     def spread_correction(self, K: np.ndarray, P: np.ndarray, X: np.ndarray,
@@ -110,7 +112,7 @@ class Filter:
         K, variances = self.gain(P)
         x = x + (K @ off[:, :, None])[:, :, 0]
         P, X = self.spread_correction(K, P, X)
-        white = np.where(self._healthy, off / np.sqrt(variances), 0.0)
+        white = np.where(self._healthy, off / np.sqrt(np.maximum(variances, 0.0)), 0.0)
         mean = mean + self._share * (white - mean)
         worst = np.maximum(worst, (mean * mean).sum(axis=1) / self._usual)
         R = len(x)

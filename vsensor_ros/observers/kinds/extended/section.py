@@ -13,7 +13,8 @@ from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
 
-
+_LARGEST = 1e75  # so that its square is a number
+_VECTORS = ('process_noise', 'input_noise', 'unknown_noise', 'noise', 'lasts', 'initial', 'start')
 
 
 def write_section(entry: ExtendedSensor) -> dict[str, Any]:
@@ -57,8 +58,11 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     for key in _VECTORS:
         if key != 'initial' and (vectors[key] < 0.0).any():
             raise reader.fail(key, 'must not be negative')
-    if not (vectors['noise'] > 0.0).all():
+    if not (vectors['noise'] > 1.0 / _LARGEST).all():
         raise reader.fail('noise', 'must be positive')
+    for key, found in vectors.items():
+        if (np.abs(found) > _LARGEST).any():
+            raise reader.fail(key, f'has a number above {_LARGEST:g}')
     ages = reader.array('ages', len(reader.get('ages', list, 'a list of numbers')))
     if len(ages) < 2 or ages[0] < 0.0 or not (np.diff(ages) > 0.0).all():
         raise reader.fail('ages', 'are not times that rise')

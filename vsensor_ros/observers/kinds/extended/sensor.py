@@ -80,5 +80,6 @@ class ExtendedSensor:
     @property
     def commands(self) -> tuple[str, ...]:
         """Names of the commands that its equations or sensors hold."""
-        m, used = self.model, {name for text in self.model.equations for name in names(parse(text))}
+        m = self.model
+        used = {name for text in m.equations for name in names(parse(text))}
         return tuple(name for i, name in enumerate(m.inputs) if name in used or m.Cu[:, i].any())
