@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from vsensor_ros import design, Design, load_plant
+from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.extended import extended
 from vsensor_ros.observers import ExtendedSensor, VirtualSensor
 
 PENDULUM = """
@@ -38,8 +39,14 @@ def _plant_of(tmp_path):
     return plant_of
 
 
-def test_it_stands_in_where_nothing_is_proved_everywhere(plant_of):
-    made = design(plant_of())
+@pytest.fixture(name='made', scope='module')
+def _made(tmp_path_factory):
+    path = tmp_path_factory.mktemp('made') / 'plant.yaml'
+    path.write_text(PENDULUM, encoding='utf-8')
+    return design(load_plant(path))
+
+
+def test_it_stands_in_where_nothing_is_proved_everywhere(plant_of, made):
     found = made[('encoder',), 'encoder']
     assert isinstance(found, ExtendedSensor) and found.grade == 'filtered'
     assert found.reads == ('tacho',) and found.commands == ('torque',) and found.order == 2
@@ -60,8 +67,7 @@ def test_it_stands_in_where_nothing_is_proved_everywhere(plant_of):
     [('d*speed', 'd*sign(speed)')],
 ])
 def test_where_it_is_told_too_little_there_is_none(plant_of, changes):
-    made = design(plant_of(*changes))
-    assert not any(isinstance(e, ExtendedSensor) for e in made.entries.values())
+    assert extended(plant_of(*changes), ('encoder',), 'encoder') is None
 
 
 def test_what_is_proved_everywhere_stays(plant_of):
@@ -70,16 +76,16 @@ def test_what_is_proved_everywhere_stays(plant_of):
     assert isinstance(made[('tacho',), 'tacho'], VirtualSensor)
 
 
-def test_its_deviation_grows_from_that_of_the_readings(plant_of):
-    found = design(plant_of())[('encoder',), 'encoder']
+def test_its_deviation_grows_from_that_of_the_readings(plant_of, made):
+    found = made[('encoder',), 'encoder']
     assert found.drift[0] < 0.001 < found.drift[-1] < 1.0
     assert found.ages[0] == 0.0 and (np.diff(found.ages) > 0.0).all()
-    unsure = design(plant_of(('spread: 0.035', 'spread: 0.2')))[('encoder',), 'encoder']
+    unsure = extended(plant_of(('spread: 0.035', 'spread: 0.2')), ('encoder',), 'encoder')
     assert unsure.drift[-1] >= found.drift[-1]
 
 
-def test_the_file_holds_it(plant_of, tmp_path):
-    made, path = design(plant_of()), tmp_path / 'design.json'
+def test_the_file_holds_it(made, tmp_path):
+    path = tmp_path / 'design.json'
     made.save(path)
     before, after = (d[('encoder',), 'encoder'] for d in (made, Design.load(path)))
     assert before.model.same(after.model)
@@ -106,9 +112,9 @@ def test_the_file_holds_it(plant_of, tmp_path):
      'something else'),
     (lambda e: e.update(extra=1), 'extra'),
 ])
-def test_what_is_wrong_in_the_file_is_said(plant_of, tmp_path, change, said):
+def test_what_is_wrong_in_the_file_is_said(made, tmp_path, change, said):
     path = tmp_path / 'design.json'
-    design(plant_of(), [('encoder',)]).save(path)
+    made.save(path)
     record = json.loads(path.read_text(encoding='utf-8'))
     change(record['entries'][0])
     path.write_text(json.dumps(record), encoding='utf-8')
@@ -132,3 +138,17 @@ def test_rates_by_the_minute_are_told_by_the_second(plant_of):
     np.testing.assert_allclose(minute.input_noise, second.input_noise * np.sqrt(60.0))
     assert minute.equations[0] == 'speed/60'
     assert minute.hash() != second.hash() != replace(second, spreads={}).hash()
+
+
+def test_how_far_parameters_are_off_may_be_said_when_one_asks(plant_of):
+    bare = plant_of((', spread: 0.035', ''), (', spread: 0.02', ''))
+    assert extended(bare, ('encoder',), 'encoder') is None
+    found = design(bare, [('encoder',)], spread=0.1)[('encoder',), 'encoder']
+    assert dict(zip(found.model.parameters, found.model.spreads)) == pytest.approx(
+        {'g': 0.981, 'l': 0.07, 'd': 0.02})
+    given = extended(plant_of(), ('encoder',), 'encoder', 0.1)
+    assert dict(zip(given.model.parameters, given.model.spreads)) == pytest.approx(
+        {'g': 0.981, 'l': 0.035, 'd': 0.02})
+    for wrong in (0.0, 1.0, True, 'much'):
+        with pytest.raises(BadInput, match='share'):
+            design(bare, spread=wrong)

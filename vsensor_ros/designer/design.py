@@ -47,6 +47,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
            method: str | None = None, temporary: bool = True, extended: bool = True,
+           spread: float | None = None,
            progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
@@ -63,11 +64,17 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``extended``: where nothing is proved for all states, and the plant
     states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
-    'filtered'. ``progress`` is told what is done, of how many, and what is next. Raises BadInput
-    for what is not a name of a sensor or a choice. Source: method, section 3.
+    'filtered'. ``spread``: how far off those parameters are of which the plant says nothing, one
+    standard deviation, as a share of their values. ``progress`` is told what is done, of how many,
+    and what is next. Raises BadInput for what is not a name of a sensor or a choice. Source:
+    method, section 3.
     """
     _check(plant, prefer, decay, method, {
         'bounded': bounded, 'temporary': temporary, 'extended': extended})
+    if spread is not None and (isinstance(spread, bool) or not (
+            isinstance(spread, (int, float)) and 0 < spread < 1)):
+        raise BadInput('design', 'spread', f'{shown(spread)} is not a share',
+                       'give a number between 0 and 1, such as 0.05')
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
     entries: dict[Key, Entry | Refusal] = {}
@@ -81,8 +88,9 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
             problem = pose(part.plant, part.lost, channel, rows)
             found = _lost_before(entries, fault_set, problem) or part.entry_of_whole(_answer(
                 problem, prefer, decay, bounded, method, temporary))
-            entries[fault_set, channel] = (filtered(plant, fault_set, channel) if extended
-                                           and not _proved(found) else None) or found
+            entries[fault_set, channel] = (filtered(plant, fault_set, channel, spread)
+                                           if extended and not _proved(found)
+                                           else None) or found
     if progress is not None:
         progress(len(tasks), len(tasks), 'done')
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,

@@ -1,17 +1,21 @@
 """
 Kalman filters on the plant's equations, where nothing better is proved for all states.
 
-They are for plants that say how far off their parameters may be (`spread`): without that a filter
-does not know what it does not know. How the deviation grows after the loss, and how fast an error
-dies out, is told at the operating point; on the machine the filter finds it out where it is.
+They are for plants that say how far off their parameters may be (`spread`), or of which that is
+stated when one asks: without that a filter does not know what it does not know. How the deviation
+grows after the loss, and how fast an error dies out, is told at the operating point; on the
+machine the filter finds it out where it is. Source: method 3.13.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.noise import INTERVAL
+from vsensor_ros.functions.expression import fold, parse, substitute, to_text
 from vsensor_ros.observers import ExtendedSensor, Model
 from vsensor_ros.observers.kinds.extended.filter import Filter
 from vsensor_ros.observers.kinds.extended.section import check_equation
@@ -22,25 +26,29 @@ TOLD = 500  # steps after which readings of the channels have told all, at most
 NEARLY = 1.5  # times the least deviation: then they have told enough
 
 
-def extended(plant: Plant, fault_set: tuple[str, ...], channel: str) -> ExtendedSensor | None:
+def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
+             spread: float | None = None) -> ExtendedSensor | None:
     """
     Return a filter for a channel that has failed with others; None where it cannot be built.
 
-    It needs spreads, all noise, equations without jumps, and readings free of unknown inputs.
+    spread: of parameters without one, as a share of what they are; None: these are exact. It needs
+    spreads, all noise, equations without jumps, and readings free of unknown inputs.
     """
-    if channel not in fault_set or not plant.equations or plant.Cd.any() or \
+    spreads = spreads_of(plant, spread)
+    if channel not in fault_set or not plant.equations or not spreads or \
+            plant.Cd.any() or \
             not plant.C[plant.sensors.index(channel)].any() or \
             not all(np.isfinite(noise).all() for noise in (
                 plant.noise, plant.process_noise, plant.disturbance_noise)) or \
             not plant.noise.all():
         return None
-    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.spreads)
+    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
     try:
         for text in plant.equations:
             check_equation(text, names, plant.name, 'dynamics')
     except BadInput:  # a jump, or too long to be written
         return None
-    model = model_of(plant)
+    model = model_of(plant, spreads)
     reads = np.array([bool(row.any()) and name not in fault_set
                       for name, row in zip(plant.sensors, plant.C)])
     tracks = plant.C.any(axis=1)
@@ -75,7 +83,14 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str) -> Extended
         np.array(ages), deviations)
 
 
-def model_of(plant: Plant) -> Model:
+def spreads_of(plant: Plant, share: float | None) -> dict[str, float]:
+    """Return the standard deviations of parameters; share: of those without, of their values."""
+    stated = {name: share * abs(value) for name, value in plant.parameters.items()
+              if share and value and '[' not in name}
+    return {**stated, **plant.spreads}
+
+
+def model_of(plant: Plant, spreads: Mapping[str, float]) -> Model:
     """
     Return the equations of a plant, with what it says of their noise.
 
@@ -88,10 +103,12 @@ def model_of(plant: Plant) -> Model:
     start = np.where(known, np.where(known, high, 0.0) - np.where(known, low, 0.0), 0.0) / 12**0.5
     initial = np.where(known, (np.where(known, high, 0.0) + np.where(known, low, 0.0)) / 2,
                        plant.initial)
-    values = np.array([plant.parameters[name] for name in plant.spreads])
+    exact = {name: v for name, v in plant.parameters.items() if name not in spreads}
+    equations = tuple(to_text(fold(substitute(parse(text), exact))) for text in plant.equations)
     return Model(
-        plant.states, plant.inputs, plant.equations, plant.disturbances, tuple(plant.spreads),
-        values, np.array(list(plant.spreads.values())), plant.process_noise.copy(),
+        plant.states, plant.inputs, equations, plant.disturbances, tuple(spreads),
+        np.array([plant.parameters[name] for name in spreads]),
+        np.array(list(spreads.values())), plant.process_noise.copy(),
         np.nan_to_num(plant.input_noise), plant.disturbance_noise.copy(), plant.C.copy(),
         plant.Cu.copy(), plant.noise.copy(), np.nan_to_num(1.0 / plant.sensor_rate), initial,
         np.where(known, start, np.where(size > 0.0, size, 1.0)), plant.sample_time)

@@ -21,12 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.bad_input import shown
+from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
     Number,
+    parse,
     substitute,
     to_text,
 )
@@ -233,17 +234,24 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
 
 def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, float],
                unit: float) -> list[str]:
-    """Return the right-hand sides per second, in which parameters with a spread keep names."""
-    if not spreads:
-        return []
+    """Return the right-hand sides per second with parameters by name; [] if not by equations."""
     if 'dynamics' not in file.content:
-        raise file.fail('parameters', f'{next(iter(spreads))} has a spread, which only equations '
-                        'can use', 'give one equation a state under dynamics')
+        if spreads:
+            raise file.fail('parameters', f'{next(iter(spreads))} has a spread, which only '
+                            'equations can use', 'give one equation a state under dynamics')
+        return []
     texts = {**{s: '0' if file.content['time'] == 'continuous' else s for s in states},
              **file.content['dynamics']}
-    nodes = [file.with_names(texts[s], f'dynamics.{s}', spreads) for s in states]
-    return [to_text(node if unit == 1.0 else fold(Apply('/', (node, Number(unit)))))
-            for node in nodes]
+    named = [name for name in file.parameters if '[' not in name]
+    found = []
+    for state in states:
+        node = file.with_names(texts[state], f'dynamics.{state}', named)
+        found.append(to_text(node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))))
+        try:
+            parse(found[-1])
+        except BadInput:  # too long with its definitions written out
+            return []
+    return found
 
 
 def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],

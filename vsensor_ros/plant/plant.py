@@ -87,8 +87,8 @@ class Plant:
     input_noise: np.ndarray             # (m,), by which what acts is off the inputs
     disturbance_noise: np.ndarray       # (d,), that the unknown inputs are
     spreads: dict[str, float]           # by parameter not known exactly: its standard deviation
-    # with spreads, the right-hand sides over states, inputs, disturbances and those parameters
-    equations: tuple[str, ...]          # n, or ()
+    # n right-hand sides over states, inputs, disturbances and parameters; () where not known
+    equations: tuple[str, ...]
     remarks: tuple[str, ...]            # what is to be told of how the file was read
 
     @classmethod
@@ -129,9 +129,9 @@ class Plant:
         input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
         input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
-        of parameters that are not known exactly, and with them equations: n texts over states,
-        inputs, disturbances and these parameters. where: what error lines call the source. Raises
-        BadInput.
+        of parameters that are not known exactly; equations: the same as the arrays in n texts over
+        states, inputs, disturbances and parameters. where: what error lines call the source.
+        Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
@@ -204,8 +204,8 @@ class Plant:
             input_noise=_noise(input_noise, b.shape[1], where, 'input_noise'),
             disturbance_noise=_noise(disturbance_noise, d.shape[1], where, 'disturbance_noise'),
             spreads=_spreads(spreads or {}, parameters, where),
-            equations=_equations(equations, spreads or {}, (
-                *state_names, *input_names, *disturbance_names), n, where),
+            equations=_equations(equations, (*state_names, *input_names, *disturbance_names,
+                                             *parameters), n, where),
             remarks=tuple(check_text(text, where, 'remarks')
                           for text in _listed(remarks, where, 'remarks')))
 
@@ -531,13 +531,13 @@ def _spreads(given: Mapping[str, float], parameters: Mapping[str, float],
     return dict(zip(given, sizes.tolist()))
 
 
-def _equations(given: Sequence[str], spreads: Mapping[str, float], names: Sequence[str], n: int,
+def _equations(given: Sequence[str], names: Sequence[str], n: int,
                where: object) -> tuple[str, ...]:
     texts = tuple(_listed(given, where, 'equations'))
     if len(texts) not in (0, n):
         raise BadInput(where, 'equations', f'are {len(texts)}', f'give {n}, one a state')
     for i, text in enumerate(texts):
-        parse(text, where, f'equations[{i}]', known=(*names, *spreads))
+        parse(text, where, f'equations[{i}]', known=names)
     return texts
 
 

@@ -11,6 +11,7 @@ from vsensor_ros.observers import (
     Certificate,
     Design,
     Entry,
+    ExtendedSensor,
     Refusal,
     Rung,
     settling_time,
@@ -250,9 +251,18 @@ def certified(entry: Entry) -> str:
 
 def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
     """Say what there is to say of a virtual sensor of any kind: names and texts."""
-    return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
-            ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
-            ('grade', entry.grade), ('found as', entry.method)]
+    found = [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
+             ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
+             ('grade', entry.grade), ('found as', entry.method)]
+    return [*found, ('good', grows(entry, unit))] if isinstance(entry, ExtendedSensor) else found
+
+
+def grows(entry: ExtendedSensor, unit: str) -> str:
+    """Say how the deviation of a filter grows after the loss."""
+    last = float(entry.ages[-1])
+    said = ', '.join(f'{number(float(np.interp(age, entry.ages, entry.drift)), unit)} after '
+                     f'{age:.3g} s' for age in (0.0, 0.1 * last, last))
+    return f'{said}, at the operating point; elsewhere the machine works it out'
 
 
 def disturbance(entry: VirtualSensor, unit: str) -> str:
