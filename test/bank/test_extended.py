@@ -1,12 +1,13 @@
 """The arm whose elbow encoder is lost, calm and turning over, by a filter with wrong numbers."""
 
+from dataclasses import replace
 import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vsensor_ros import Design, load_plant
+from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bank import Bank
 from vsensor_ros.designer.extended import extended
 
@@ -134,3 +135,41 @@ def test_what_the_model_does_not_hold_for_is_withdrawn(fit, made):
             bank.take(name, k * PERIOD * MS, 0.0)
         bank.advance(k * PERIOD * MS)
     assert bank.waiting(ELBOW, 'pos2') == 0.0
+
+
+PENDULUM = """
+name: pendulum
+time: continuous
+parameters: {l: {value: 0.7, spread: 0.035}}
+states:
+  angle: {process_noise: 0, range: [-4, 4]}
+  speed: {process_noise: 0.05, range: [-8, 8]}
+inputs: {torque: {}}
+dynamics: {angle: speed, speed: -9.81*sin(angle)/l - 0.2*speed + 2*torque}
+sensors: {encoder: {measures: angle, noise: 0.001}, tacho: {measures: speed, noise: 0.02}}
+"""
+
+
+def test_beside_another_kind_it_says_what_it_says_alone(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    path.write_text(PENDULUM, encoding='utf-8')
+    both = design(load_plant(path))
+    kinds = {sensor: both[(sensor,), sensor].kind for sensor in ('encoder', 'tacho')}
+    assert kinds == {'encoder': 'extended', 'tacho': 'functional'}
+
+    def heard(made, sensor):
+        bank, said = Bank(made, RATE), []
+        for k in range(400):
+            now = k * PERIOD * MS
+            if k == 250:
+                bank.distrust((sensor,), now)
+            for name, value in (('encoder', 0.5 * np.cos(3.7 * now * 1e-9)),
+                                ('tacho', -1.85 * np.sin(3.7 * now * 1e-9)), ('torque', 0.0)):
+                bank.take(name, now, value)
+            bank.advance(now)
+            said.append((bank.estimate((sensor,), sensor), bank.deviation((sensor,), sensor)))
+        return np.array(said[100:], dtype=float)
+    for sensor in kinds:
+        alone = replace(both, entries={
+            key: entry for key, entry in both.entries.items() if key[1] == sensor})
+        np.testing.assert_allclose(heard(both, sensor), heard(alone, sensor), rtol=1e-9)
