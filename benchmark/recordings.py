@@ -39,9 +39,9 @@ def drive(data: Path) -> tuple[Setup, Recording]:
         {name: Track.of(time, values) for name, values in columns.items()})
 
 
-def two_link(plant: Plant) -> Setup:
+def two_link(plant: Plant, extended: bool = True) -> Setup:
     """Return an engine for the arm, whose encoders tell position and speed in one message."""
-    return settings(design(plant, [ELBOW]), RATE, (('pos1', 'vel1'), ELBOW))
+    return settings(design(plant, [ELBOW], extended=extended), RATE, (('pos1', 'vel1'), ELBOW))
 
 
 def arm_run(data: Path, number: int) -> Recording:

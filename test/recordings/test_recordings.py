@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from benchmark import recordings
-from vsensor_ros.recordings import Loss, Recording, replay, Track, verdict
+from vsensor_ros import Design, load_plant
+from vsensor_ros.designer.extended import extended
+from vsensor_ros.recordings import Loss, Recording, replay, settings, Track, verdict
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get('VSENSOR_DATA') or 'nowhere')
@@ -36,6 +38,24 @@ def test_losses_do_not_disturb_each_other(drive):
     both = replay(setup, recording, [loss, Loss(('encoder',), 2.9, 3.2)])
     assert np.isfinite(alone['encoder'].values).all()
     np.testing.assert_array_equal(both[1][1]['encoder'].values, alone['encoder'].values)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('run', [3, 4])  # in the other one the elbow turns over
+def test_an_elbow_is_as_good_as_is_said(run):
+    if not (DATA / recordings.ARM.format(run)).is_file():
+        pytest.skip(f'VSENSOR_DATA names no folder with {recordings.ARM.format(run)}')
+    plant, elbow = load_plant(recordings.ARM_PLANT), recordings.ELBOW
+    made = Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
+                  dict(plant.units), None, {(elbow, c): extended(plant, elbow, c) for c in elbow},
+                  ranges=plant.reading_ranges())
+    recording = recordings.arm_run(DATA, run)
+    heard = replay(settings(made, recordings.RATE, (('pos1', 'vel1'), elbow)), recording,
+                   recordings.ELBOW_LOST)
+    for name in elbow:
+        found = verdict([said[name] for _, said in heard], recording.tracks[name])
+        assert found.covered >= 0.9 and found.held >= 10.0 * found.rmse
+        assert found.served >= (0.95 if run == 3 else 0.5)
 
 
 def test_events_come_in_order_each_stamp_once():

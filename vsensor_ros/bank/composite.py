@@ -168,6 +168,12 @@ class Composite(Batch):
         part, own = self.tracks[i]
         return self.parts[part][0].drift(own, ages)
 
+    def along(self, i: int, z: np.ndarray) -> float:
+        """Ask the kind."""
+        part, own = self.tracks[i]
+        of_kind, _, _, k = self.parts[part]
+        return of_kind.along(own, z[:k])
+
     def bent(self, i: int) -> Bent | None:
         """Ask the kind."""
         part, own = self.tracks[i]

@@ -68,7 +68,8 @@ class Deviations:
 
     def along(self, i: int, state: State) -> float:
         """Return what came of a flight's error along its way; 0: as much as `drift` tells."""
-        return self._spreads.deviation(i, state)
+        return max(self._spreads.deviation(i, state), self._batch.along(
+            i, state.z[self._batch.tracked[i].free]))
 
     def lost(self, output: int, state: State) -> bool:
         """Tell whether nothing can be told of where a flight is by now."""

@@ -231,7 +231,8 @@ class FreeRuns:
         """Tell whether the tracker differs from the rehearsal by more than that has drifted."""
         free, own = self.free[i], self.tracked[i].own
         age = float(state.tick - state.since[free]) * self._period
-        if not state.running[free] or not age or self._batch.bent(i) is not None:
+        if not state.running[free] or not age or self._batch.bent(i) is not None or \
+                self._batch.along(i, state.z[free]):
             return False  # what bends an error by the way says more than an age does
         output = int(np.flatnonzero(self._batch.of == own)[0])
         said, rehearsed = (self._batch.estimate(

@@ -46,7 +46,8 @@ class Spreads:
     def __init__(self, batch: Batch, free: np.ndarray) -> None:
         """Prepare; some have none, for `drift` tells all of them."""
         bends = {i: b for i in range(len(free)) if (b := batch.bent(i)) is not None}
-        n, k = len(bends), batch.width
+        # no wider than these: states of other kinds may be far longer
+        n, k = len(bends), max((len(b.row) for b in bends.values()), default=0)
         self._batch, self._free, self._rows = batch, free, free[list(bends)]
         self._at = {i: at for at, i in enumerate(bends)}
         self._orders = [len(b.row) for b in bends.values()]
@@ -91,14 +92,15 @@ class Spreads:
         roots = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])[:, :, -way.most:]
         n, k, K = roots.shape
         off = OFF * np.concatenate((roots, -roots), axis=2).transpose(0, 2, 1)  # (n, 2 K, k)
-        beside = (state.z[way.rows][:, None, :] + off).reshape(2 * n * K, k)
+        beside = np.repeat(state.z[way.rows], 2 * K, axis=0)
+        beside[:, :k] += off.reshape(2 * n * K, k)
         if way.apart is None:
             ended, outside = way.step(np.concatenate((z, beside)), state.told, told, commands)
             ended, beside, outside = ended[:len(z)], ended[len(z):], outside[:len(z)]
         else:
             ended, outside = way.step(z, state.told, told, commands)
             beside = way.apart(beside, state.told, told, commands)[0]
-        off = (beside.reshape(n, 2 * K, k) - ended[way.own][:, None, :]) / OFF
+        off = (beside[:, :k].reshape(n, 2 * K, k) - ended[way.own, :k][:, None, :]) / OFF
         far = ((off / self._sizes[way.at][:, None, :])**2).sum(axis=2, keepdims=True)
         off = np.where(far[:, :K] >= far[:, K:], off[:, :K], off[:, K:])
         found = off.transpose(0, 2, 1) @ off + self._growth[way.at]

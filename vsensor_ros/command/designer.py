@@ -142,6 +142,13 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--isolate', action='store_true',
                         help='say whose fault can be told from whose, and design what tells it: '
                         'pairs, and filters that read all sensors but one')
+    parser.add_argument('--no-extended', dest='extended', action='store_false', default=None,
+                        help='no Kalman filters on the equations, of which nothing is proved, '
+                        'where the plant says how far off its parameters may be')
+    parser.add_argument('--spread', metavar='SHARE', type=float,
+                        help='how far off those parameters may be of which the plant file says '
+                        'nothing, as a share of their values (one standard deviation), such as '
+                        '0.05: for Kalman filters on the equations')
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
@@ -173,7 +180,7 @@ def _jobs(text: str) -> int:
 
 def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
-    names = ('up_to', 'prefer', 'decay', 'method', 'temporary')
+    names = ('up_to', 'prefer', 'decay', 'method', 'temporary', 'extended', 'spread')
     chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
     flags = ('bounded', 'isolate')
     return {**chosen, **{name: True for name in flags if getattr(options, name)}}

@@ -26,6 +26,7 @@ from vsensor_ros.designer.existence import (
     Existence,
     measured_signs,
 )
+from vsensor_ros.designer.extended import extended as filtered
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.order_walk import LARGE
@@ -58,12 +59,15 @@ class Choices(NamedTuple):
     bounded: bool
     method: str | None
     temporary: bool
+    extended: bool
+    spread: float | None
 
 
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None, temporary: bool = True, isolate: bool = False,
+           method: str | None = None, temporary: bool = True, extended: bool = True,
+           spread: float | None = None, isolate: bool = False,
            progress: Progress | None = None,
            executor: Executor | None = None, work_file: str | Path | None = None) -> Design:
     """
@@ -79,22 +83,26 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``isolate``: design, too, what tells whose fault it is, see
-    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
-    ``executor``: who does the work, with the same result (`designer/sweep.py`). ``work_file``:
-    answers are kept there as they come, and those that it holds are not sought again.
-    Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some channels
+    after its channel was lost. ``extended``: where nothing is proved for all states, and the plant
+    states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
+    'filtered'. ``spread``: how far off those parameters are of which the plant says nothing, one
+    standard deviation, as a share of their values. ``isolate``: design, too, what tells whose
+    fault it is, see ``Design.isolability``. ``progress`` is told what is done, of how many, and
+    what is next. ``executor``: who does the work, with the same result (`designer/sweep.py`).
+    ``work_file``: answers are kept there as they come, and those that it holds are not sought
+    again. Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some channels
     met an error or a worker that died. Source: method, section 3.
     """
-    choices = Choices(prefer, decay, bounded, method, temporary)
-    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary,
-                                          'isolate': isolate})
+    choices = Choices(prefer, decay, bounded, method, temporary, extended, spread)
+    _check(plant, prefer, decay, method, spread, {
+        'bounded': bounded, 'temporary': temporary, 'extended': extended, 'isolate': isolate})
     if not isinstance(executor, Executor | None):
         raise BadInput('design', 'executor', f'{shown(executor)} is not an executor',
                        'give a concurrent.futures.Executor, such as Client.get_executor() of Dask')
     if isolate:
         plain = partial(design, plant, prefer=prefer, decay=decay, bounded=bounded, method=method,
-                        temporary=temporary, progress=progress, executor=executor)
+                        temporary=temporary, extended=extended, spread=spread, progress=progress,
+                        executor=executor)
         asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
         with calmly():
             return isolated(plant, asked, plain, progress)
@@ -174,7 +182,7 @@ MOST_PLANTS = 8
 
 
 def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
-         rows: np.ndarray | None, lost: Refusal | None) -> VirtualSensor | Refusal:
+         rows: np.ndarray | None, lost: Refusal | None) -> Entry | Refusal:
     """
     Answer for one fault set and channel, wherever this runs.
 
@@ -190,13 +198,17 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
         part = subsystem(plant, fault_set, channel, rows)
         problem = pose(part.plant, part.lost, channel,
                        None if rows is None else rows[:, part.states])
-        if lost is not None:
-            return _lost_already(lost, fault_set, problem)
-        return part.entry_of_whole(_answer(problem, *choices))
+        found = (_lost_already(lost, fault_set, problem) if lost is not None
+                 else part.entry_of_whole(_answer(
+                     problem, choices.prefer, choices.decay, choices.bounded, choices.method,
+                     choices.temporary)))
+        if choices.extended and not _proved(found):
+            return filtered(plant, fault_set, channel, choices.spread) or found
+        return found
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
-           flags: Mapping[str, bool]) -> None:
+           spread: float | None, flags: Mapping[str, bool]) -> None:
     if not isinstance(plant, Plant):
         raise BadInput('design', 'plant', f'{shown(plant)} is not a Plant',
                        'make one with load_plant or Plant.from_matrices')
@@ -210,6 +222,10 @@ def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
             isinstance(decay, (int, float)) and 0 < decay <= FASTEST)):
         raise BadInput('design', 'decay', f'{shown(decay)} is not a rate',
                        f'give a positive number up to {FASTEST:g}, in 1/s')
+    if spread is not None and (isinstance(spread, bool) or not (
+            isinstance(spread, (int, float)) and 0 < spread < 1)):
+        raise BadInput('design', 'spread', f'{shown(spread)} is not a share',
+                       'give a number between 0 and 1, such as 0.05')
     for name, flag in flags.items():
         if not isinstance(flag, bool):
             raise BadInput('design', name, f'{shown(flag)} is neither True nor False',
@@ -276,6 +292,13 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     if isinstance(fault_sets, Set):  # the order of a set differs from run to run
         checked.sort(key=lambda s: (len(s), [plant.sensors.index(name) for name in s]))
     return list(dict.fromkeys(checked))
+
+
+def _proved(entry: Entry | Refusal) -> bool:
+    """Tell whether an answer is known to converge wherever the plant is."""
+    return isinstance(entry, VirtualSensor) and entry.grade != 'temporary' and (
+        not entry.active or (entry.certificate is not None
+                             and entry.certificate.status == 'global'))
 
 
 def _lost_already(lost: Refusal, fault_set: tuple[str, ...], problem: Problem) -> Refusal:

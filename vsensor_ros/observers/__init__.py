@@ -26,6 +26,7 @@ from vsensor_ros.observers.kinds import (
     Told,
     Tracked,
 )
+from vsensor_ros.observers.kinds.extended import EXTENDED, ExtendedSensor, Model
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
 from vsensor_ros.observers.kinds.functional.convergence import settling_time
 from vsensor_ros.observers.kinds.functional.tracking import (
@@ -36,9 +37,10 @@ from vsensor_ros.observers.kinds.functional.tracking import (
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
+register(EXTENDED)
 
 __all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
-           'Distinction', 'Entry', 'Isolability', 'Key', 'Kind', 'Limit', 'Noise', 'OrderStep',
-           'Proof', 'Refusal', 'Residual', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
-           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
-           'settling_time']
+           'Distinction', 'Entry', 'ExtendedSensor', 'Isolability', 'Key', 'Kind', 'Limit',
+           'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'StepOfSome',
+           'Told', 'Tracked', 'Tracking', 'VirtualSensor', 'deviation_after', 'horizon',
+           'kind_named', 'kind_names', 'register', 'settling_time']

@@ -158,6 +158,31 @@ def checked_curves(given: Mapping[str, Curve], sensors: tuple[str, ...],
     return dict(given)
 
 
+def checked_spreads(given: Mapping[str, float], parameters: Mapping[str, float],
+                    where: object) -> dict[str, float]:
+    """Return standard deviations of parameters, by name."""
+    for name in given:
+        if name not in parameters:
+            raise BadInput(where, 'spreads', f'unknown parameter {shown(name)}',
+                           suggestion(name, parameters))
+    sizes = checked_vector(list(given.values()), np.zeros(len(given)), where, 'spreads')
+    if not (sizes > 0.0).all():
+        raise BadInput(where, 'spreads', f'{shown(dict(given))} holds one that is not positive',
+                       'give standard deviations')
+    return dict(zip(given, sizes.tolist()))
+
+
+def checked_equations(given: Sequence[str], names: Sequence[str], n: int,
+                      where: object) -> tuple[str, ...]:
+    """Return the right-hand sides as texts over these names: n, or none."""
+    texts = tuple(as_list(given, where, 'equations'))
+    if len(texts) not in (0, n):
+        raise BadInput(where, 'equations', f'are {len(texts)}', f'give {n}, one a state')
+    for i, text in enumerate(texts):
+        parse(text, where, f'equations[{i}]', known=names)
+    return texts
+
+
 def checked_delays(value: Any, count: int, sample_time: Any, where: object,
                    key: str) -> np.ndarray:
     """Return (count,) dead times [s], whole samples where there is a sample time."""

@@ -67,4 +67,4 @@ def _with_register(plant: Plant, i: int, names: tuple[str, ...]) -> Plant:
                                C @ plant.operating_point + Cu @ plant.operating_input),
         process_noise=filled(plant.process_noise, 0.0),
         ranges=filled(plant.ranges, ends if plain else [-np.inf, np.inf]),
-        slow=filled(plant.slow, False))
+        slow=filled(plant.slow, False), equations=())

@@ -58,6 +58,7 @@ class Entries:
         self.tables: dict[str, tuple[str, tuple[Node, ...]]] = {}  # by name: kind, points
         self.definitions: dict[str, Node] = {}  # without names of others
         self.written: dict[str, Node] = {}  # those whose names give way to what they are
+        self.loose: dict[str, Node] = {}  # all, with names for parameters
         self.extents: dict[str, tuple[int, int]] = {}  # of definitions: parts, and how deep
         self.units_of: Units | None = None  # None: not checked
 
@@ -131,6 +132,27 @@ class Entries:
         """Return an expression that was read already with all its names."""
         return parse(value, self.path, tables=self.tables)
 
+    def with_names(self, value: Any, key: str, parameters: Iterable[str]) -> Node:
+        """Return an expression that was read before, in which some parameters keep their names."""
+        numbers = {name: v for name, v in self.parameters.items() if name not in parameters}
+        return fold(substitute(substitute(self.raw(value), self.loose), numbers), self.path, key)
+
+    def spreads(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+        """Read the standard deviations of parameters that are not known exactly."""
+        found = {}
+        for name, entry in parameters.items():
+            if 'spread' not in entry:
+                continue
+            key = f'parameters.{name}.spread'
+            if name in self.arrays:
+                raise self.fail(key, 'stands beside an array',
+                                'give its numbers names of their own')
+            found[name] = self.number(entry['spread'], key)
+            if not found[name] > 0.0:
+                raise self.fail(key, f'{found[name]:g} is not positive',
+                                'give a standard deviation, or leave it out')
+        return found
+
     def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
         """Begin to check units; return where it is said what is amiss, or why nothing is."""
         of = {name: entry['unit'] for section in sections for name, entry in section.items()
@@ -183,6 +205,7 @@ class Entries:
                     raise self.fail(place, f'{used} is not known yet', 'a definition may use '
                                     'earlier ones only: bring them into order, without a circle')
             node = self.tabled(self.by_name(text, place, variables), entry, place)
+            self.loose[name] = self.tabled(substitute(self.raw(text), self.loose), entry, place)
             whole = fold(substitute(node, self.definitions), self.path, place)
             if self.units_of is not None and 'table' not in entry:
                 self.units_of.inferred[name] = self.units_of.infer(self.raw(text), place)

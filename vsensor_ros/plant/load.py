@@ -1,14 +1,15 @@
 """
 Read a plant file (YAML).
 
-Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters,
-tables (points, interpolation), definitions (value, unit, table, interpolation), states (unit,
-initial, process_noise, range, slow), inputs (unit, operating, range, delay), disturbances (unit,
-range), sensors (measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table,
-interpolation), operating_point, and the right-hand side: dynamics, one equation a state, or
-matrices A, B, C, Cu, Cd, D, P with nonlinearities (function over w1.., of which combinations of
-states). Every number may be an expression of the parameters. What is wrong gives one BadInput line
-that names the file, the place and the mend.
+Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
+(value, unit, spread), tables (points, interpolation), definitions (value, unit, table,
+interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
+delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
+tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
+right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with
+nonlinearities (function over w1.., of which combinations of states). Every number may be an
+expression of the parameters. What is wrong gives one BadInput line that names the file, the place
+and the mend.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.bad_input import shown
+from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
     Number,
+    parse,
     substitute,
     to_text,
 )
@@ -81,10 +83,10 @@ def _plant(file: Entries) -> Plant:
         raise file.fail('description', 'is not a text', 'put it in quotes')
     sample_time = file.sample_time()
     unit = file.time_unit(sample_time)
-    parameters = file.section('parameters', ('value', 'unit'), 'value')
+    parameters = file.section('parameters', ('value', 'unit', 'spread'), 'value')
     states = file.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
-    inputs = file.section('inputs', ('unit', 'operating', 'range', 'delay'))
-    disturbances = file.section('disturbances', ('unit', 'range'))
+    inputs = file.section('inputs', ('unit', 'operating', 'range', 'delay', 'process_noise'))
+    disturbances = file.section('disturbances', ('unit', 'range', 'process_noise'))
     sensors = file.section('sensors', ('measures', 'unit', 'noise', 'tolerance', 'wrap',
                                        'delay', 'stamp_offset', 'rate', *TABLE),
                            'measures')
@@ -135,6 +137,7 @@ def _plant(file: Entries) -> Plant:
             if 'measures' in entry:
                 raise file.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                 'give one of the two')
+    spreads = file.spreads(parameters)
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
@@ -157,6 +160,11 @@ def _plant(file: Entries) -> Plant:
                       + file.time(e, 'stamp_offset', f'sensors.{s}')
                       for s, e in sensors.items()],
         sensor_rate=[file.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
+        input_noise=[file.deviation(e, 'process_noise', f'inputs.{i}') * noisy
+                     for i, e in inputs.items()],
+        disturbance_noise=[file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
+                           for r, e in disturbances.items()],
+        spreads=spreads, equations=_equations(file, tuple(states), spreads, unit),
         remarks=said,
         name=name, where=file.path)
     return plant if sample_time is None else with_registers(
@@ -238,6 +246,28 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
     check_split(split, [fold(substitute(e, file.definitions)) for e in equations], states,
                 inputs, disturbances, point, file.path)
     return split, None
+
+
+def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, float],
+               unit: float) -> list[str]:
+    """Return the right-hand sides per second with parameters by name; [] if not by equations."""
+    if 'dynamics' not in file.content:
+        if spreads:
+            raise file.fail('parameters', f'{next(iter(spreads))} has a spread, which only '
+                            'equations can use', 'give one equation a state under dynamics')
+        return []
+    texts = {**{s: '0' if file.content['time'] == 'continuous' else s for s in states},
+             **file.content['dynamics']}
+    named = [name for name in file.parameters if '[' not in name]
+    found = []
+    for state in states:
+        node = file.with_names(texts[state], f'dynamics.{state}', named)
+        found.append(to_text(node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))))
+        try:
+            parse(found[-1])
+        except BadInput:  # too long with its definitions written out
+            return []
+    return found
 
 
 def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],

@@ -21,6 +21,7 @@ from vsensor_ros.plant.checked import (
     checked_curves,
     checked_delays,
     checked_direct,
+    checked_equations,
     checked_marks,
     checked_matrix,
     checked_names,
@@ -28,6 +29,7 @@ from vsensor_ros.plant.checked import (
     checked_ranges,
     checked_rates,
     checked_sample_time,
+    checked_spreads,
     checked_terms,
     checked_tolerances,
     checked_turns,
@@ -83,6 +85,12 @@ class Plant:
     input_delay: np.ndarray             # (m,) s, u acts so much later than it is given
     sensor_delay: np.ndarray            # (l,) s, what is stamped t tells of t less this
     sensor_rate: np.ndarray             # (l,) Hz, of readings, NaN where unknown
+    # intensity of white noise as process_noise, NaN where unknown:
+    input_noise: np.ndarray             # (m,), by which what acts is off the inputs
+    disturbance_noise: np.ndarray       # (d,), that the unknown inputs are
+    spreads: dict[str, float]           # by parameter not known exactly: its standard deviation
+    # n right-hand sides over states, inputs, disturbances and parameters; () where not known
+    equations: tuple[str, ...]
     remarks: tuple[str, ...]            # what is to be told of how the file was read
     # makes it anew, of parameters that are so many times as large; None: not known how
     remake: Callable[[Mapping[str, float]], Plant] | None = None
@@ -103,6 +111,9 @@ class Plant:
                       tolerances: Mapping[str, float] | None = None, wrap: Any = None,
                       curves: Mapping[str, Curve] | None = None, input_delay: Any = None,
                       sensor_delay: Any = None, sensor_rate: Any = None,
+                      input_noise: Any = None, disturbance_noise: Any = None,
+                      spreads: Mapping[str, float] | None = None,
+                      equations: Sequence[str] = (),
                       remarks: Sequence[str] = (),
                       remake: Callable[[Mapping[str, float]], Plant] | None = None,
                       name: str = 'plant',
@@ -122,8 +133,10 @@ class Plant:
         NaN where nothing wraps. curves: by sensor what it shows of its row of C, Cu and Cd.
         input_delay (m,): dead times [s], whole samples when discrete; sensor_delay (l,): with
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
-        remake: makes the plant anew from factors of its parameters, by name. where: what error
-        lines call the source. Raises BadInput.
+        input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
+        of parameters that are not known exactly; equations: the same as the arrays in n texts over
+        states, inputs, disturbances and parameters. remake: makes the plant anew from factors of
+        its parameters, by name. where: what error lines call the source. Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
@@ -194,6 +207,12 @@ class Plant:
             input_delay=checked_delays(input_delay, b.shape[1], sample_time, where, 'input_delay'),
             sensor_delay=checked_delays(sensor_delay, len(c), None, where, 'sensor_delay'),
             sensor_rate=checked_rates(sensor_rate, len(c), where),
+            input_noise=checked_noise(input_noise, b.shape[1], where, 'input_noise'),
+            disturbance_noise=checked_noise(disturbance_noise, d.shape[1], where,
+                                            'disturbance_noise'),
+            spreads=checked_spreads(spreads or {}, parameters, where),
+            equations=checked_equations(equations, (*state_names, *input_names, *disturbance_names,
+                                                    *parameters), n, where),
             remarks=tuple(check_text(text, where, 'remarks')
                           for text in as_list(remarks, where, 'remarks')),
             remake=remake)
@@ -233,7 +252,8 @@ class Plant:
             tolerances={name: size for name, size in self.tolerances.items() if name in names},
             wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
             curves={name: curve for name, curve in self.curves.items() if name in names},
-            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y], remake=None)
+            sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y],
+            disturbance_noise=self.disturbance_noise[rho], equations=(), remake=None)
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -300,6 +320,9 @@ class Plant:
                 sorted(curve.beside.items()))
         if self.delays() or not np.isnan(self.sensor_rate).all():
             add('delays', sorted(self.delays().items()), self.sensor_rate)
+        if self.spreads:
+            add('spreads', sorted(self.spreads.items()), self.equations, self.input_noise,
+                self.disturbance_noise)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash

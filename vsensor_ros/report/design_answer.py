@@ -88,7 +88,8 @@ def closing(result: Design) -> str:
     """Return how many can be replaced."""
     grades = [v.grade for v in result.virtual_sensors]
     some = ''.join(f', {grades.count(grade)} of them {how} only' for grade, how in
-                   (('bounded', 'within a bound'), ('temporary', 'for a time')) if grade in grades)
+                   (('bounded', 'within a bound'), ('temporary', 'for a time'),
+                    ('filtered', 'without proof')) if grade in grades)
     return f'{len(grades)} of {len(result.entries)} can be replaced{some}'
 
 

@@ -15,6 +15,7 @@ from vsensor_ros.observers import (
     Certificate,
     Design,
     Entry,
+    ExtendedSensor,
     Refusal,
     Rung,
     settling_time,
@@ -133,7 +134,8 @@ def state_of(entry: Entry | Refusal) -> str:
     if isinstance(entry, Refusal):
         return f'cannot be {done}'
     return f'can be {done}' + {'bounded': ' within a bound, disturbed by unknown inputs',
-                               'temporary': ' for a time'}.get(entry.grade, '')
+                               'temporary': ' for a time', 'filtered':
+                               ' by a filter of which nothing is proved'}.get(entry.grade, '')
 
 
 def left_out(entry: Entry | Refusal) -> str:
@@ -307,9 +309,18 @@ def certified(entry: Entry) -> str:
 
 def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
     """Say what there is to say of a virtual sensor of any kind: names and texts."""
-    return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
-            ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
-            ('grade', entry.grade), ('found as', entry.method)]
+    found = [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
+             ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
+             ('grade', entry.grade), ('found as', entry.method)]
+    return [*found, ('good', grows(entry, unit))] if isinstance(entry, ExtendedSensor) else found
+
+
+def grows(entry: ExtendedSensor, unit: str) -> str:
+    """Say how the deviation of a filter grows after the loss."""
+    last = float(entry.ages[-1])
+    said = ', '.join(f'{number(float(np.interp(age, entry.ages, entry.drift)), unit)} after '
+                     f'{age:.3g} s' for age in (0.0, 0.1 * last, last))
+    return f'{said}, at the operating point; elsewhere the machine works it out'
 
 
 def long_terms(design: Design, plant: Plant | None) -> list[NonlinearTerm]:

@@ -29,7 +29,7 @@ def headlines(loop: ClosedLoop) -> list[str]:
     off = [c for c in loop.cases if c.unstable_corners and c.verdict != 'unstable']
     if off:
         worst = max(off, key=_at_worst)
-        lines.insert(bool(lines) and lines[0].startswith('IN THE LOOP UNSTABLE'), (
+        lines.insert(any(c.verdict == 'unstable' for c in loop.cases), (
             f'IN THE LOOP UNSTABLE with {_sets(off)}, where the parameters are '
             f'off{_by(loop.shares)}: it grows by {number(_at_worst(worst), "1/s")} '
             f'({_from(worst, loop.shares)}); {NOT_THE_LOOPS}'))

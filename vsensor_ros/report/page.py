@@ -149,7 +149,8 @@ def _facts(facts: Iterable[tuple[str, str]]) -> str:
 def _summary(design: Design) -> str:
     total, able = len(design.entries), len(design.virtual_sensors)
     said = f'<strong>{able} of {total}</strong> can be replaced'
-    for grade, how in (('bounded', 'within a bound'), ('temporary', 'for a time')):
+    for grade, how in (('bounded', 'within a bound'), ('temporary', 'for a time'),
+                       ('filtered', 'without proof')):
         if count := sum(v.grade == grade for v in design.virtual_sensors):
             said += f', {count} of them {how} only'
     wary = sum(design_text.certified(v) in ('not certified', 'NOT certified')

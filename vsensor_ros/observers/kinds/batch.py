@@ -133,6 +133,10 @@ class Batch(ABC):
         """Return the standard deviation of what a free run says, so long [s] after its start."""
         return np.full(np.shape(ages), np.inf)
 
+    def along(self, i: int, z: np.ndarray) -> float:
+        """Return the standard deviation that a free run's own state (k,) tells; 0: none."""
+        return 0.0
+
     def bent(self, i: int) -> Bent | None:
         """Return how the error of a free run grows along its way; None: `drift` tells all."""
         return None

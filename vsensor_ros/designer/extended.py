@@ -1,0 +1,114 @@
+"""
+Kalman filters on the plant's equations, where nothing better is proved for all states.
+
+They are for plants that say how far off their parameters may be (`spread`), or of which that is
+stated when one asks: without that a filter does not know what it does not know. How the deviation
+grows after the loss, and how fast an error dies out, is told at the operating point; on the
+machine the filter finds it out where it is. Source: method 3.15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.noise import INTERVAL
+from vsensor_ros.functions.expression import fold, parse, substitute, to_text
+from vsensor_ros.observers import ExtendedSensor, Model
+from vsensor_ros.observers.kinds.extended.filter import Filter
+from vsensor_ros.observers.kinds.extended.section import check_equation
+from vsensor_ros.plant import Plant
+
+LONGEST = 3000  # steps of which it is worked out how the deviation grows
+TOLD = 500  # steps after which readings of the channels have told all, at most
+NEARLY = 1.5  # times the least deviation: then they have told enough
+
+
+def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
+             spread: float | None = None) -> ExtendedSensor | None:
+    """
+    Return a filter for a channel that has failed with others; None where it cannot be built.
+
+    spread: of parameters without one, as a share of what they are; None: these are exact. It needs
+    spreads, all noise, equations without jumps, and readings free of unknown inputs.
+    """
+    spreads = spreads_of(plant, spread)
+    if channel not in fault_set or not plant.equations or not spreads or \
+            plant.Cd.any() or \
+            not plant.C[plant.sensors.index(channel)].any() or \
+            not all(np.isfinite(noise).all() for noise in (
+                plant.noise, plant.process_noise, plant.disturbance_noise)) or \
+            not plant.noise.all():
+        return None
+    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
+    try:
+        for text in plant.equations:
+            check_equation(text, names, plant.name, 'dynamics')
+    except BadInput:  # a jump, or too long to be written
+        return None
+    model = model_of(plant, spreads)
+    reads = np.array([bool(row.any()) and name not in fault_set
+                      for name, row in zip(plant.sensors, plant.C)])
+    tracks = plant.C.any(axis=1)
+    own = plant.C[plant.sensors.index(channel)]
+    period = plant.sample_time or INTERVAL
+    filter_ = Filter(model, period, np.array([tracks, reads]), np.zeros((2, len(reads)), bool))
+    step = filter_.linear(plant.operating_point, plant.operating_input)
+    P, X = np.diag(model.start**2)[None], np.zeros((1, len(model.states), len(model.parameters)))
+
+    def after(one: Filter, P: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        P, X = one.spread_step(*step, P, X)
+        return one.spread_correction(one.gain(P)[0], P, X)
+    follows, free, said = filter_.of(np.array([0])), filter_.of(np.array([1])), []
+    for _ in range(TOLD):
+        P, X = after(follows, P, X)
+        said.append(float(own @ P[0] @ own))
+    ages, drift = [0.0], [float(own @ P[0] @ own)]
+    for k in range(1, LONGEST + 1):
+        P, X = after(free, P, X)
+        if k < 10 or k % (k // 10) == 0 or k == LONGEST:
+            ages.append(k * period)
+            drift.append(float(own @ P[0] @ own))
+    deviations = np.sqrt(np.maximum(drift, 0.0))
+    if not np.isfinite(deviations).all():
+        return None
+    left = np.eye(len(model.states)) - free.gain(P)[0][0] @ (plant.C * reads[:, None])
+    slowest = float(np.abs(np.linalg.eigvals(left @ step[0][0])).max())
+    return ExtendedSensor(
+        channel, fault_set, tuple(s for s, read in zip(plant.sensors, reads) if read), model,
+        max(0.0, -np.log(max(slowest, 1e-12)) / period),
+        period * (1 + int(np.argmax(np.array(said) <= NEARLY**2 * said[-1]))),
+        np.array(ages), deviations)
+
+
+def spreads_of(plant: Plant, share: float | None) -> dict[str, float]:
+    """Return the standard deviations of parameters; share: of those without, of their values."""
+    stated = {name: share * abs(value) for name, value in plant.parameters.items()
+              if share and value and '[' not in name}
+    return {**stated, **plant.spreads}
+
+
+def model_of(plant: Plant, spreads: Mapping[str, float]) -> Model:
+    """
+    Return the equations of a plant, with what it says of their noise.
+
+    A state with a range starts anywhere in it; one without is off its initial value by a standard
+    deviation as large as that, or 1.
+    """
+    low, high = plant.ranges.T
+    known = np.isfinite(low) & np.isfinite(high)
+    size = np.maximum(np.abs(plant.initial), np.abs(plant.operating_point))
+    start = np.where(known, np.where(known, high, 0.0) - np.where(known, low, 0.0), 0.0) / 12**0.5
+    initial = np.where(known, (np.where(known, high, 0.0) + np.where(known, low, 0.0)) / 2,
+                       plant.initial)
+    exact = {name: v for name, v in plant.parameters.items() if name not in spreads}
+    equations = tuple(to_text(fold(substitute(parse(text), exact))) for text in plant.equations)
+    return Model(
+        plant.states, plant.inputs, equations, plant.disturbances, tuple(spreads),
+        np.array([plant.parameters[name] for name in spreads]),
+        np.array(list(spreads.values())), plant.process_noise.copy(),
+        np.nan_to_num(plant.input_noise), plant.disturbance_noise.copy(), plant.C.copy(),
+        plant.Cu.copy(), plant.noise.copy(), np.nan_to_num(1.0 / plant.sensor_rate), initial,
+        np.where(known, start, np.where(size > 0.0, size, 1.0)), plant.sample_time)

@@ -1,0 +1,88 @@
+"""The section of the design file that holds a virtual sensor of the kind extended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.functions.expression import Apply, function_of, parse, walk
+from vsensor_ros.observers.checked_json import CheckedObject
+from vsensor_ros.observers.contents import Contents
+from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
+
+_LARGEST = 1e75  # so that its square is a number
+_VECTORS = ('process_noise', 'input_noise', 'unknown_noise', 'noise', 'lasts', 'initial', 'start')
+
+
+def write_section(entry: ExtendedSensor) -> dict[str, Any]:
+    """Return what the design file says of one, but for its kind, channel and fault set."""
+    m = entry.model
+    return {
+        'reads': list(entry.reads), 'decay': entry.decay, 'warm_up': entry.warm_up,
+        'ages': entry.ages.tolist(), 'drift': entry.drift.tolist(),
+        'equations': list(m.equations), 'unknown': list(m.unknown),
+        'parameters': [{'name': name, 'value': value, 'spread': spread} for name, value, spread
+                       in zip(m.parameters, m.values.tolist(), m.spreads.tolist())],
+        **{key: getattr(m, key).tolist() for key in (*_VECTORS, 'C', 'Cu')}}
+
+
+def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...], plant: Contents,
+                 version: int) -> ExtendedSensor:
+    """Read what write_section wrote; raises BadInput."""
+    reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
+                 'parameters', *_VECTORS, 'C', 'Cu'))
+    reads = reader.names('reads')
+    if not set(reads) <= set(plant.sensors) - set(fault_set):
+        raise reader.fail('reads', 'are not healthy sensors')
+    if channel not in fault_set:
+        raise reader.fail('channel', f'{channel} is not a sensor of its fault set')
+    n, m, L = len(plant.states), len(plant.inputs), len(plant.sensors)
+    unknown, items = reader.names('unknown'), reader.objects('parameters')
+    for item in items:
+        item.only(('name', 'value', 'spread'))
+    parameters = CheckedObject(reader.path, f'{reader.place}parameters.', {
+        'name': [item.text('name') for item in items]}).names('name')
+    known = (*plant.states, *plant.inputs, *unknown, *parameters)
+    if len(set(known)) < len(known):
+        raise reader.fail('parameters', 'have a name that stands for something else')
+    equations = reader.texts('equations')
+    if len(equations) != n:
+        raise reader.fail('equations', f'are not {n}, one a state')
+    for i, text in enumerate(equations):
+        check_equation(text, known, reader.path, f'{reader.place}equations[{i}]')
+    lengths = dict(zip(_VECTORS, (n, m, len(unknown), L, L, n, n)))
+    vectors = {key: reader.array(key, length) for key, length in lengths.items()}
+    for key in _VECTORS:
+        if key != 'initial' and (vectors[key] < 0.0).any():
+            raise reader.fail(key, 'must not be negative')
+    if not (vectors['noise'] > 1.0 / _LARGEST).all():
+        raise reader.fail('noise', 'must be positive')
+    for key, found in vectors.items():
+        if (np.abs(found) > _LARGEST).any():
+            raise reader.fail(key, f'has a number above {_LARGEST:g}')
+    ages = reader.array('ages', len(reader.get('ages', list, 'a list of numbers')))
+    if len(ages) < 2 or ages[0] < 0.0 or not (np.diff(ages) > 0.0).all():
+        raise reader.fail('ages', 'are not times that rise')
+    drift = reader.array('drift', len(ages))
+    if (drift < 0.0).any():
+        raise reader.fail('drift', 'must not be negative')
+    model = Model(plant.states, plant.inputs, equations, unknown, parameters,
+                  np.array([item.number('value') for item in items]),
+                  np.array([item.size('spread') for item in items]),
+                  C=reader.array('C', L, n), Cu=reader.array('Cu', L, m),
+                  sample_time=plant.sample_time, **vectors)
+    if not model.C[plant.sensors.index(channel)].any():
+        raise reader.fail('C', f'tells nothing of {channel}')
+    return ExtendedSensor(channel, fault_set, reads, model, reader.size('decay'),
+                          reader.size('warm_up'), ages, drift)
+
+
+def check_equation(text: str, known: Sequence[str], where: object, key: str) -> None:
+    """Raise BadInput for a text outside of the language, or with a jump that is held at rest."""
+    for part in walk(parse(text, where, key, known=known)):
+        if isinstance(part, Apply) and function_of(part).set_valued:
+            raise BadInput(where, key, f'{part.function} jumps: it has no slope there',
+                           'write dry friction with tanh')

@@ -1,0 +1,85 @@
+"""The data of the kind extended; letters as in its folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from vsensor_ros.functions.expression import names, parse
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """
+    The equations of a plant, and what is not known exactly in them.
+
+    Each gives the derivative of a state or, with a sample time, its next value, over states,
+    inputs, unknown inputs (0 in the mean) and parameters. Noise is white: standard deviations per
+    sqrt(Hz), or per step.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    equations: tuple[str, ...]  # n
+    unknown: tuple[str, ...]  # d
+    parameters: tuple[str, ...]  # p
+    values: np.ndarray  # (p,)
+    spreads: np.ndarray  # (p,) standard deviations
+    process_noise: np.ndarray  # (n,) [unit of the state per sqrt(s), or per step]
+    input_noise: np.ndarray  # (m,) by which what acts is off what is said
+    unknown_noise: np.ndarray  # (d,)
+    C: np.ndarray  # (L, n) what sensors read of the states,
+    Cu: np.ndarray  # (L, m) and directly of the inputs
+    noise: np.ndarray  # (L,) standard deviation of one reading
+    lasts: np.ndarray  # (L,) s between two readings of a sensor; 0: each step has one
+    initial: np.ndarray  # (n,) the start before anything was read,
+    start: np.ndarray  # (n,) and its standard deviation
+    sample_time: float | None  # s; None: continuous
+
+    def __post_init__(self) -> None:
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+
+    def same(self, other: Model) -> bool:
+        """Tell whether another is equal."""
+        return all(np.array_equal(mine, theirs) for mine, theirs in zip(
+            vars(self).values(), vars(other).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedSensor:
+    """A Kalman filter that says what a failed sensor would have said."""
+
+    kind: ClassVar[str] = 'extended'
+    grade: ClassVar[str] = 'filtered'
+    method: ClassVar[str] = 'extended Kalman filter, uncertain parameters considered'
+    noise = proof = certificate = None
+
+    channel: str
+    fault_set: tuple[str, ...]
+    reads: tuple[str, ...]  # the healthy sensors that correct it
+    model: Model
+    decay: float  # 1/s, of an error at the operating point without the channels; 0: it stays
+    warm_up: float  # s until readings of the channels have told where it is
+    ages: np.ndarray  # (T,) s after the loss of its channels, and then
+    drift: np.ndarray  # (T,) its standard deviation at the operating point
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Name of what it says."""
+        return (self.channel,)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.model.states)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of the commands that its equations or sensors hold."""
+        m = self.model
+        used = {name for text in m.equations for name in names(parse(text))}
+        return tuple(name for i, name in enumerate(m.inputs) if name in used or m.Cu[:, i].any())
