@@ -1,0 +1,153 @@
+"""
+What readings alone tell of their channel: stuck, dropped out, spiking, noisy, moving further.
+
+Nothing here needs a model, but for the estimates beside which a quiet channel must move. How often
+a channel repeats its value, how rough it is and how far it moves is learnt on the healthy machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
+
+CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
+OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
+FEWEST_REPEATS = 5
+KNOWN = 1000  # samples, before which the habits of a channel are not known
+MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
+ROUGH = 64  # samples of the window of roughness
+ROUGHER = 2.5  # times the healthy roughness
+BLOCK = 128  # samples
+PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
+SPIKE = 10.0  # times the usual distance from the median of three
+PART = 0.1  # of the range that an estimate must move beside a quiet channel that is stuck
+
+Bools = NDArray[np.bool_]
+
+
+class Channels:
+    """Any number of channels c, a batch of samples at a time."""
+
+    def __init__(self, period: float, batch: int, count: int) -> None:
+        self.period, self.batch = period, batch
+        self.motion = BlockMaxima(2, count)  # of readings, above and below
+        self.repeats, self.pairs, self.longest, self.longest_gap, self.samples = (
+            np.zeros(count, dtype=np.int64) for _ in range(5))
+        self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
+        self.range = np.full((2, count), np.nan)  # least and largest reading of the healthy machine
+        self.run, self.gap, self.spikes = (np.zeros(count, dtype=np.int64) for _ in range(3))
+        self.rough = np.full(count, np.nan)  # mean roughness of the last window
+        self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
+        self._raw = np.full((batch + 2, count), np.nan)
+        self._last, self._from = np.full(count, np.nan), np.full(count, np.nan)
+        self._others = np.zeros((batch + 2, count))
+        self._window = np.full((ROUGH // batch, count), np.nan)
+        self._extremes = np.full((2, count), -np.inf)
+        self._streak = np.zeros(count, dtype=np.int64)
+        self._needed = np.full(count, np.inf)
+        self._count = 0
+
+    def step(self, readings: Floats, residuals: Floats, estimates: Floats, learn: Bools | bool,
+             ) -> None:
+        """
+        Take a batch of samples (batch, c); NaN: no reading, or nobody to estimate it.
+
+        residuals: of the virtual sensor of each channel; estimates: of the same. learn: () or (c,).
+        """
+        self._count += 1
+        self._learn = learn = np.broadcast_to(np.asarray(learn), self.run.shape)
+        for reading, estimate in zip(readings, estimates):
+            self._repeat(reading, estimate, learn)
+        raw, others = self._raw, self._others
+        raw[:2], others[:2] = raw[-2:], others[-2:]
+        raw[2:], others[2:] = readings, residuals
+        low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
+        middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
+        self._move(middle, learn)
+        self._roughen(raw, others, middle, learn)
+        if self._count % (BLOCK // self.batch) == 0:
+            self._end_block()
+
+    def _repeat(self, reading: Floats, estimate: Floats, learn: Bools) -> None:
+        missing = reading != reading
+        self.gap += 1
+        self.gap *= missing
+        same = reading == self._last
+        self.run += same
+        self.run *= same | missing
+        self._last = np.where(missing, self._last, reading)
+        self._from = np.where(self.run > 0, self._from, estimate)
+        if learn.any():
+            self.repeats += same & learn
+            self.pairs += ~missing & learn
+            np.maximum(self.longest, np.where(learn, self.run, 0), out=self.longest)
+            np.maximum(self.longest_gap, np.where(learn, self.gap, 0), out=self.longest_gap)
+            moved = np.where(learn & (self.run > 0), np.abs(estimate - self._from), 0.0)
+            np.fmax(self.travel, moved, out=self.travel)
+
+    def _move(self, middle: Floats, learn: Bools) -> None:
+        low, high = self.range
+        most, least = np.fmax.reduce(middle), np.fmin.reduce(middle)
+        self.beyond *= np.exp(-self.batch * self.period / PEAK)
+        np.fmax(self.beyond, np.fmax(most - high, low - least), out=self.beyond)
+        np.fmax(self._extremes[0], most, out=self._extremes[0])
+        np.fmax(self._extremes[1], -least, out=self._extremes[1])
+        self._streak += self.batch
+        self._streak *= learn
+
+    def _roughen(self, raw: Floats, others: Floats, middle: Floats, learn: Bools) -> None:
+        bends = np.abs(raw[2:] - 2 * raw[1:-1] + raw[:-2])
+        np.fmin(bends, np.abs(others[2:] - 2 * others[1:-1] + others[:-2]), out=bends)
+        known = self.samples >= KNOWN
+        if known.any():
+            np.minimum(bends, np.where(known, 5 * self.roughness, np.inf), out=bends)
+        self._window[self._count % len(self._window)] = bends.mean(axis=0)
+        self.rough = self._window.mean(axis=0)
+        apart = np.abs(raw[1:-1] - middle)
+        spiked = (apart > SPIKE * self.usual_spike) & known & (
+            apart > 0.02 * (self.range[1] - self.range[0]))
+        self.spikes += spiked.sum(axis=0)
+        learn = learn & np.isfinite(self._window[self._count % len(self._window)])
+        self.samples += self.batch * learn
+        share = self.batch * learn / np.maximum(self.samples, 1)
+        new = self._window[self._count % len(self._window)]
+        self.roughness += share * (np.where(learn, new, 0.0) - self.roughness)
+        away = np.where(learn, np.minimum(apart, np.where(
+            known, 5 * self.usual_spike, np.inf)).mean(axis=0), 0.0)
+        self.usual_spike += share * (away - self.usual_spike)
+
+    def _end_block(self) -> None:
+        known = (self._streak >= BLOCK) & np.isfinite(self._extremes).all(axis=0)
+        for row in (0, 1):
+            self.motion.add(row, self._extremes[row], known)
+        self._extremes[:] = -np.inf
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Draw from the record how far a channel moves, and how many repeats are too many."""
+        usual = np.stack([-self.motion.usual(1), self.motion.usual(0)])
+        self.range = np.where(np.isfinite(usual), usual, np.nan)
+        share = (self.repeats + 1) / (self.pairs + 2)
+        repeats = np.ceil(np.log(CHANCE) / np.log(share))
+        self._needed = np.where((share < OFTEN) & (self.pairs >= KNOWN),
+                                np.maximum(np.maximum(repeats, FEWEST_REPEATS), 2 * self.longest),
+                                np.inf)
+
+    def stuck(self, estimates: Floats) -> Bools:
+        """Tell which repeat their value for too long, beside what they do, or the estimates (c,)."""
+        quiet = np.isinf(self._needed) & (self.pairs >= KNOWN)
+        if not quiet.any():
+            return self.run >= self._needed
+        enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
+        moved = (np.abs(estimates - self._from) > enough) & (self.run > self.longest)
+        return (self.run >= self._needed) | (quiet & moved)
+
+    def dropped(self) -> Bools:
+        """Tell which have said nothing for too long."""
+        return self.gap > np.maximum(MISSING / self.period, 3 * self.longest_gap)
+
+    def noisy(self) -> Bools:
+        """Tell which are far rougher than the healthy machine."""
+        return (self.rough > ROUGHER * self.roughness) & (self.samples >= KNOWN)
