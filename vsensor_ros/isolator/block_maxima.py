@@ -35,13 +35,24 @@ def thresholds(maxima: Floats, count: NDArray[np.int64], blocks_per_alarm: Float
     """
     Return what a cell exceeds once in `blocks_per_alarm` blocks (..); inf where too few are known.
 
-    The tail is taken for exponential above the upper quartile: u + beta ln(k/m n). beta is made
-    larger by the standard error of the mean of k excesses.
+    maxima (ROOM, ..) and 0 or more. The tail of their squares is taken for exponential above the
+    upper quartile, u + beta ln(k/m n), as that of Gaussian noise is. beta is made larger by the
+    standard error of the mean of k excesses.
     """
-    start, excess, share = tail(maxima, count)
+    start, excess, share = tail(np.where(np.isfinite(maxima), np.maximum(maxima, 0.0)**2, -np.inf), count)
     beta = excess * (1.0 + 1.0 / np.sqrt(np.maximum(share * count, 1.0)))
     level = start + beta * np.log(np.maximum(share * blocks_per_alarm, 1.0))
-    return np.where(count >= FEWEST, level, np.inf)
+    return np.where(count >= FEWEST, np.sqrt(level), np.inf)
+
+
+def beside(maxima: Floats, count: NDArray[np.int64]) -> Floats:
+    """
+    Return the middle between what is reached above and below (..): what maxima are counted from.
+
+    maxima (ROOM, 2, ..), count (2, ..): above and, with the other sign, below.
+    """
+    known = np.where(np.isfinite(maxima), maxima, 0.0).sum(axis=0) / np.maximum(count, 1)
+    return (known[0] - known[1]) / 2
 
 
 class BlockMaxima:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats, thresholds
+from vsensor_ros.isolator.block_maxima import beside, BlockMaxima, Floats, thresholds
 
 WINDOWS = (1, 4, 16, 64, 256, 1024)  # samples
 BLOCKS = tuple(min(1024, max(128, 4 * window)) for window in WINDOWS)  # samples of a base block
@@ -153,13 +153,16 @@ class Detector:
             self._refresh(w, slice(None))
 
     def _refresh(self, w: int, columns: slice) -> None:
-        rows = slice(w, None, len(WINDOWS))
-        block = self.period * BLOCKS[w] * self.maxima.merged[rows, columns]
-        found = thresholds(self.maxima.maxima[:, rows, columns],
-                           self.maxima.count[rows, columns], 1.0 / (self.false_alarms * block))
         trusted = self.learnt[columns] * self.period >= ENOUGH
-        self.thresholds[rows, columns] = np.where(trusted & np.isfinite(found), found,
-                                                  self.prior[columns])
+        for row in (w, w + 2 * len(WINDOWS)):  # level, contrast
+            both = slice(row, row + len(WINDOWS) + 1, len(WINDOWS))  # above and below
+            maxima, count = self.maxima.maxima[:, both, columns], self.maxima.count[both, columns]
+            middle = beside(maxima, count)
+            off = np.stack([middle, -middle])
+            block = self.period * BLOCKS[w] * self.maxima.merged[both, columns]
+            found = off + thresholds(maxima - off, count, 1.0 / (self.false_alarms * block))
+            self.thresholds[both, columns] = np.where(trusted & np.isfinite(found), found,
+                                                      self.prior[columns])
 
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""
