@@ -38,7 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result.save(options.output)
         if progress is not None and options.locate:
             progress(0, 1, 'places for one more sensor')
-        places = (locations(plant, up_to=max(map(len, result.fault_sets)))
+        places = (locations(plant, up_to=max(map(len, result.fault_sets)),
+                            isolate=options.isolate)
                   if options.locate else None)
         written = f'written to {options.output}'
         if options.report:
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             written += f', the report to {path}'
         _clear(progress)
         minded = advice(plant, result, lambda other, lost: design(
-            other, [lost], **{**_choices(options), 'up_to': None}))
+            other, [lost], **{**_choices(options), 'up_to': None, 'isolate': False}))
         _say(f'{answer(result, blocks, places, plant, minded)}\n{closing(result)}; {written}')
     except BadInput as error:
         _clear(progress)
@@ -83,6 +84,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--no-temporary', dest='temporary', action='store_false', default=None,
                         help='refuse where a virtual sensor would serve for a time only, because '
                         'a mode stays that no healthy sensor sees')
+    parser.add_argument('--isolate', action='store_true',
+                        help='say whose fault can be told from whose, and design what tells it: '
+                        'pairs, and filters that read all sensors but one')
     parser.add_argument('--method', metavar='NAME',
                         help=f"one of the papers' methods instead of the whole search: "
                         f'{", ".join(METHODS)}')
@@ -100,7 +104,8 @@ def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
     names = ('up_to', 'prefer', 'decay', 'method', 'temporary')
     chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
-    return {**chosen, 'bounded': True} if options.bounded else chosen
+    flags = ('bounded', 'isolate')
+    return {**chosen, **{name: True for name in flags if getattr(options, name)}}
 
 
 def _check_files(options: argparse.Namespace) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 import warnings
@@ -23,6 +24,7 @@ from vsensor_ros.designer.existence import (
     examine,
     measured_signs,
 )
+from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.sentences import say
@@ -45,7 +47,7 @@ METHODS = ('jordan', 'identification', 'svd')
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None, temporary: bool = True,
+           method: str | None = None, temporary: bool = True, isolate: bool = False,
            progress: Callable[[int, int, str], None] | None = None) -> Design:
     """
     Design a virtual sensor for every channel of every fault set, or say why there is none.
@@ -60,11 +62,17 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``progress`` is told what is done, of how many, and what is next.
-    Raises BadInput for what is not a name of a sensor or a
-    choice. Source: method, section 3.
+    after its channel was lost. ``isolate``: design, too, what tells whose fault it is, see
+    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
+    Raises BadInput for what is not a name of a sensor or a choice. Source: method, section 3.
     """
-    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary})
+    _check(plant, prefer, decay, method, {'bounded': bounded, 'temporary': temporary,
+                                          'isolate': isolate})
+    if isolate:
+        plain = partial(design, plant, prefer=prefer, decay=decay, bounded=bounded, method=method,
+                        temporary=temporary, progress=progress)
+        with _calmly():
+            return isolated(plant, plain(fault_sets, up_to=up_to, wanted=wanted), plain, progress)
     functionals = _functionals(plant, wanted)
     sets = _fault_sets(plant, fault_sets, up_to, bool(functionals))
     entries: dict[tuple[tuple[str, ...], str], VirtualSensor | Refusal] = {}

@@ -25,9 +25,11 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer.existence import examine
+from vsensor_ros.designer.isolability import blind_to, checks
 from vsensor_ros.designer.problem import pose, Problem
 from vsensor_ros.designer.subspaces import in_row_space, rank
 from vsensor_ros.functions.expression import check_name
+from vsensor_ros.observers import STRENGTHS, STRONG
 from vsensor_ros.plant import Plant
 
 Loss = tuple[tuple[str, ...], str]  # a fault set and a channel of it
@@ -43,13 +45,16 @@ class Location:
     raised: tuple[tuple[str, ...], ...]  # fault sets for which (30) holds
     rank: int  # of [H; Hv]
     complete: bool  # (32): that rank is n
+    # whose faults could be told from those of a set of others, of none: seen; at all, or constant
+    # ones, too; empty unless asked for
+    isolable: tuple[Loss, ...] = ()
 
     def __post_init__(self) -> None:
         self.row.flags.writeable = False
 
 
 def locations(plant: Plant, candidates: Mapping[str, Any] | None = None,
-              up_to: int = 1) -> tuple[Location, ...]:
+              up_to: int = 1, isolate: bool = False) -> tuple[Location, ...]:
     """
     Tell for each candidate sensor what could be lost for good that cannot be now; best first.
 
@@ -57,10 +62,12 @@ def locations(plant: Plant, candidates: Mapping[str, Any] | None = None,
     that no sensor measures alone. The new sensor is taken to stay healthy, and to read neither
     commands nor unknown inputs directly. ``up_to``: fault sets of so many sensors are looked at.
     Best is what gains most; then what raises the rank for more fault sets, (31); then what makes
-    it complete, (32). Only whether virtual sensors exist is decided, none is designed. Raises
-    BadInput. Source: see above.
+    it complete, (32). ``isolate``: decide, too, whose faults could be seen, and told from those of
+    one other, which counts next to the gain; then every state is a candidate, for a second sensor
+    tells of the first. Only whether virtual sensors and residuals exist is decided, none is
+    designed. Raises BadInput. Source: see above, and isolability.py.
     """
-    rows = _rows(plant, candidates)
+    rows = _rows(plant, candidates, isolate)
     if isinstance(up_to, bool) or not isinstance(up_to, int) or up_to < 1:
         raise BadInput('locations', 'up_to', f'{shown(up_to)} is not a number of sensors',
                        'give 1, 2, ..')
@@ -75,6 +82,7 @@ def locations(plant: Plant, candidates: Mapping[str, Any] | None = None,
             if _within(fault_set, channel, lost) or examine(problem).obstruction is not None:
                 lost[fault_set, channel] = problem
     healthy = pose(plant, (), plant.sensors[0])
+    told = _told(plant) if isolate else {}
     found = []
     for name, row in rows.items():
         gained: dict[Loss, None] = {}
@@ -88,8 +96,29 @@ def locations(plant: Plant, candidates: Mapping[str, Any] | None = None,
         raised = tuple(s for s, C0 in kept.items() if not in_row_space(C0, new))
         total = rank(np.vstack([healthy.C0, new]))
         found.append(Location(name, row, tuple(gained), raised, total,
-                              total == len(plant.states)))
-    return tuple(sorted(found, key=lambda f: (-len(f.gained), -len(f.raised), not f.complete)))
+                              total == len(plant.states), _isolable(told, name, row)))
+    return tuple(sorted(found, key=lambda f: (-len(f.gained), -len(f.isolable), -len(f.raised),
+                                              not f.complete)))
+
+
+def _told(plant: Plant) -> dict[tuple[str, ...], tuple[Problem, dict[str, str]]]:
+    """Return for no and each single other sensor the problem, and how faults show beside it."""
+    return {others: (problem := blind_to(plant, others), checks(problem).strengths())
+            for others in ((), *((s,) for s in plant.sensors))}
+
+
+def _isolable(told: Mapping[tuple[str, ...], tuple[Problem, dict[str, str]]], name: str,
+              row: np.ndarray) -> tuple[Loss, ...]:
+    """Return whose faults show better beside which others with one more healthy sensor."""
+    better = []
+    for others, (problem, now) in told.items():
+        wider = _with(problem, name, row, even_known=True)
+        if wider is None or set(now.values()) == {STRONG}:
+            continue
+        then = checks(wider).strengths()
+        better += [(others, s) for s, strength in now.items()
+                   if STRENGTHS.index(then[s]) > STRENGTHS.index(strength)]
+    return tuple(better)
 
 
 def _within(fault_set: tuple[str, ...], channel: str, lost: Mapping[Loss, Any]) -> bool:
@@ -98,10 +127,11 @@ def _within(fault_set: tuple[str, ...], channel: str, lost: Mapping[Loss, Any]) 
                for fewer in combinations(fault_set, size) if channel in fewer)
 
 
-def _with(problem: Problem, name: str, row: np.ndarray) -> Problem | None:
+def _with(problem: Problem, name: str, row: np.ndarray,
+          even_known: bool = False) -> Problem | None:
     """Give a problem one more healthy sensor; None when it tells nothing new."""
     new = _scaled(problem, row)
-    if in_row_space(problem.C0, new):
+    if not even_known and in_row_space(problem.C0, new):
         return None
     wider = np.zeros((len(problem.Y) + 1, problem.Y.shape[1] + 1))
     wider[:-1, :-1], wider[-1, -1] = problem.Y, 1.0
@@ -121,14 +151,16 @@ def _scaled(problem: Problem, row: np.ndarray) -> np.ndarray:
     return new[None, :] / np.linalg.norm(new)
 
 
-def _rows(plant: Plant, candidates: Mapping[str, Any] | None) -> dict[str, np.ndarray]:
+def _rows(plant: Plant, candidates: Mapping[str, Any] | None,
+          twice: bool) -> dict[str, np.ndarray]:
     """Return the rows (n,) of the candidates by name."""
     n = len(plant.states)
     if candidates is None:
         alone = {int(np.flatnonzero(row)[0]) for row, direct in zip(
             plant.C, np.hstack([plant.Cu, plant.Cd]))
             if np.count_nonzero(row) == 1 and not direct.any()}
-        return {name: np.eye(n)[i] for i, name in enumerate(plant.states) if i not in alone}
+        return {name: np.eye(n)[i] for i, name in enumerate(plant.states)
+                if twice or i not in alone}
     mend = f"give {{'name': row}} with rows of {n} numbers"
     if not isinstance(candidates, Mapping):
         raise BadInput('locations', 'candidates', f'{shown(candidates)} is not a mapping', mend)

@@ -230,7 +230,7 @@ def equation_residuals(problem: Problem, sensor: VirtualSensor) -> dict[str, flo
         'E2': relative((Phi * problem.scale) @ D[:n] - J @ D[n:],
                        length(Phi) + np.linalg.norm(J, axis=1)),
         'E3': max(relative((V - sensor.Cv @ Phi - sensor.Q @ C0) * problem.scale,
-                           length(V)),
+                           np.where(V.any(axis=1), length(V), length(sensor.Q @ C0))),
                   relative(Vd - sensor.Q @ unit_Cd, 1.0 + np.linalg.norm(sensor.Q, axis=1))),
         'E4': max((relative((plant.G[i] - sensor.Gz[i] @ Phi - sensor.Gy[i] @ C0)
                             * problem.scale, length(plant.G[i]))

@@ -124,6 +124,40 @@ def _alternative(order: int, gain: float, names: Names, unit: str, terms: bool) 
             + ' near the operating point' * terms + ' (bounded=True, or --bounded)')
 
 
+# ------------------------------------------------ whose fault it is, and what nobody can tell
+
+def _disturbs(sensor: str, other: str, names: Names, terms: bool) -> str:
+    checks = f'everything that checks {sensor}' + (f' without {other}' if other else '')
+    if terms:
+        return f'{checks} depends on {listed(names)}, of which nobody tells the argument'
+    return f'{checks} is disturbed by {listed(names)}'
+
+
+def _not_seen(sensor: str, other: str, names: Names, terms: bool) -> str:
+    return f'{sensor}: no fault of it is seen: {_disturbs(sensor, other, names, terms)}'
+
+
+def _alike(sensor: str, other: str, names: Names, terms: bool) -> str:
+    return (f'{sensor} and {other} cannot be told apart: '
+            f'{_disturbs(sensor, other, names, terms)}')
+
+
+def _taken_for(sensor: str, other: str, names: Names, terms: bool) -> str:
+    return (f'a fault of {sensor} may be taken for one of {other}: '
+            f'{_disturbs(sensor, other, names, terms)}')
+
+
+def _bias_taken_for(sensor: str, others: Names) -> str:
+    return (f'{sensor}: jumps, freezes and noise are told from faults of {listed(others)}; a '
+            'constant bias is not')
+
+
+def _not_built(sensor: str, others: Names, strength: str) -> str:
+    what = 'a constant bias' if strength == 'weak' else 'a fault'
+    task = f'told from faults of {listed(others)}' if others else 'seen'
+    return f'{what} of {sensor} could be {task}, but no filter for it passed its checks'
+
+
 SENTENCES: dict[str, Callable[..., str]] = {
     'reads unknown input': _reads_unknown_input,
     'unknown inputs': _unknown_inputs,
@@ -174,6 +208,16 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'rows decoupled': _rows_decoupled,
     'disturbed rung': lambda method, gain: f'{method}, unknown inputs times {gain:.3g}',
     'alternative': _alternative,
+
+    'not seen': _not_seen,
+    'bias not seen': lambda sensor: (
+        f'{sensor}: jumps, freezes and noise are seen; a constant bias is not'),
+    'one residual': lambda sensor, other: (
+        f'{sensor} and {other} cannot be told apart: one residual checks both'),
+    'alike': _alike,
+    'taken for': _taken_for,
+    'bias taken for': _bias_taken_for,
+    'not built': _not_built,
 }
 
 add_sentences(SENTENCES)

@@ -6,6 +6,15 @@ A new kind is a file in ``kinds/`` and a line here, so that it is known wherever
 
 from vsensor_ros.observers.design import Design
 from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.isolability import (
+    Distinction,
+    Isolability,
+    NONE,
+    Residual,
+    STRENGTHS,
+    STRONG,
+    WEAK,
+)
 from vsensor_ros.observers.kinds import (
     Batch,
     Bent,
@@ -28,7 +37,36 @@ from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep
 
 register(FUNCTIONAL)
 
-__all__ = ['Batch', 'Bent', 'Certificate', 'Design', 'Entry', 'Key', 'Kind', 'Limit', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
-           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
-           'settling_time']
+__all__ = [
+    'NONE',
+    'STRENGTHS',
+    'STRONG',
+    'WEAK',
+    'Batch',
+    'Bent',
+    'Certificate',
+    'Design',
+    'Distinction',
+    'Entry',
+    'Isolability',
+    'Key',
+    'Kind',
+    'Limit',
+    'Noise',
+    'OrderStep',
+    'Proof',
+    'Refusal',
+    'Residual',
+    'Rung',
+    'StepOfSome',
+    'Told',
+    'Tracked',
+    'Tracking',
+    'VirtualSensor',
+    'deviation_after',
+    'horizon',
+    'kind_named',
+    'kind_names',
+    'register',
+    'settling_time',
+]

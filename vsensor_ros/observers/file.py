@@ -7,7 +7,7 @@ the business of its kind. The format is described in ``docs/design_file.md``.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import json
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.isolability_section import isolability_record, read_isolability
 from vsensor_ros.observers.kinds import kind_named, kind_names
 from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
@@ -89,6 +90,8 @@ def _to_record(design: Contents) -> dict[str, Any]:
         },
         'wanted': list(design.wanted),
         'entries': [_entry_record(entry) for entry in design.each_once()],
+        **({} if design.isolability is None
+           else {'isolability': isolability_record(design.isolability)}),
     }
 
 
@@ -108,7 +111,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
         mend = 'update vsensor_ros' if version > VERSION else MEND
         raise top.fail('version', f'is {str(version):.20}; this vsensor_ros reads {OLDEST} to '
                        f'{VERSION}', mend)
-    top.only(('format', 'version', 'plant', 'wanted', 'entries'))
+    top.only(('format', 'version', 'plant', 'wanted', 'entries', 'isolability'))
     plant = top.object('plant')
     plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
                 'tolerances', 'ranges', 'wrap', 'curves', 'delays'))
@@ -143,7 +146,10 @@ def _from_record(record: Any, path: str | Path) -> Contents:
             if (fault_set, output) in entries:
                 raise reader.fail('channel', f'{output} stands there twice for this fault set')
             entries[fault_set, output] = entry
-    return design
+    if 'isolability' not in top.record:
+        return design
+    return replace(design, isolability=read_isolability(top.object('isolability'), design,
+                                                        version))
 
 
 def _read_tolerances(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, float]:

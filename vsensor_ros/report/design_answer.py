@@ -6,12 +6,13 @@ from collections.abc import Iterable, Sequence
 import textwrap
 
 from vsensor_ros.designer.location import Location
-from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Isolability, Refusal, VirtualSensor
 from vsensor_ros.observers.kinds.functional import short_name
 from vsensor_ros.plant import Plant
-from vsensor_ros.report import design_text, for_a_time
+from vsensor_ros.report import design_text, for_a_time, isolability_text
 
 MOST_PLACES = 8  # for a new sensor
+MOST_GAPS = 12  # of what cannot be told apart
 WIDTH = 99
 
 
@@ -37,6 +38,8 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
             lines += _hanging(size if i == 0 else '', sentence, 9)
     if places is not None and plant is not None:
         lines += ['', 'With one more sensor', *_places(places, plant)]
+    if result.isolability is not None:
+        lines += ['', *_isolated(result.isolability, result.sensors)]
     lines.append('')
     for (fault_set, channel), entry in result.entries.items():
         if blocks is None or fault_set in blocks:
@@ -67,17 +70,41 @@ def closing(result: Design) -> str:
     return f'{len(grades)} of {len(result.entries)} can be replaced{some}'
 
 
+def _isolated(found: Isolability, sensors: Sequence[str]) -> list[str]:
+    """Return whose fault can be told from whose, as a table where it has room."""
+    lines = ['Whose fault it is: can one of the row be seen, and told from one of the column?']
+    rows = isolability_text.table(found, sensors)
+    columns = [isolability_text.SEEN, *sensors]
+    widths = [max(len(name), 7) + 2 for name in columns]
+    first = max(map(len, sensors)) + 2
+    if first + sum(widths) <= WIDTH - 4:
+        lines.append(' ' * (4 + first) + ''.join(
+            f'{name:{w}}' for name, w in zip(columns, widths)).rstrip())
+        lines += [f'    {s:{first}}' + ''.join(
+            f'{mark:{w}}' for (_, mark), w in zip(row, widths)).rstrip()
+            for s, row in zip(sensors, rows)]
+        lines += _hanging('', isolability_text.KEY, 0)
+    lines += _hanging('', isolability_text.summary(found), 0)
+    for gap in found.gaps[:MOST_GAPS]:
+        lines += _hanging('-', gap, 2)
+    if len(found.gaps) > MOST_GAPS:
+        lines.append(f'    - and {len(found.gaps) - MOST_GAPS} more, which are in the report')
+    return lines
+
+
 def _places(places: Sequence[Location], plant: Plant) -> list[str]:
     if not places:
         return ['    every state is measured already; second sensors, and sensors of unknown',
                 '    inputs, are not looked at here']
-    useful = [place for place in places if place.gained]
+    useful = [place for place in places if place.gained or place.isolable]
     if not useful:
         return ['    none of a single state would let you lose more than now']
     width = max(len(place.name) for place in useful[:MOST_PLACES]) + 2
     lines = []
     for place in useful[:MOST_PLACES]:
-        lines += _hanging(place.name, design_text.gained(place), width)
+        said = [design_text.gained(place)] if place.gained else []
+        said += [more] if (more := isolability_text.gained(place)) else []
+        lines += _hanging(place.name, '; '.join(said), width)
     if len(useful) > MOST_PLACES:
         lines.append(f'    and {len(useful) - MOST_PLACES} more that help')
     return lines

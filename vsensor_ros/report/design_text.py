@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import comb
 
 import numpy as np
 
@@ -90,6 +91,8 @@ def loss_lines(design: Design) -> list[tuple[str, list[str]]]:
         if by['bounded']:
             said.append(f'of these disturbed by unknown inputs, within a bound: '
                         f'{_list(by["bounded"], size == 1)}')
+        if design.isolability is not None and len(sets) < comb(len(design.sensors), size):
+            said.append('others of this size were not looked at')
         lines.append((COUNTS.get(size, str(size)), said))
         lost += news
     return lines

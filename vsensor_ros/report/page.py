@@ -21,7 +21,7 @@ from vsensor_ros.observers import Design, Entry, Refusal, VirtualSensor
 from vsensor_ros.observers.kinds.functional import full_name, short_name
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
-from vsensor_ros.report import design_text, for_a_time, report_simulation
+from vsensor_ros.report import design_text, for_a_time, isolability_text, report_simulation
 from vsensor_ros.report.picture import need_matplotlib, picture
 from vsensor_ros.text_file import looked_in
 from vsensor_ros.whole_file import write_whole
@@ -106,7 +106,8 @@ def page(plant: Plant, design: Design, locations: Sequence[Location] | None = No
     """Return the report as HTML."""
     name = escape(design.plant_name)
     parts = [_summary(design), _plant(plant), _losses(design), _overview(design),
-             _places(plant, design, locations), _entries(plant, design, progress), _reading()]
+             _isolability(design), _places(plant, design, locations),
+             _entries(plant, design, progress), _reading()]
     return ('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
             'style-src \'unsafe-inline\'">\n'
@@ -239,6 +240,33 @@ def _overview(design: Design) -> str:
                'stability proved'), (3, 4, 5), classes))
 
 
+def _isolability(design: Design) -> str:
+    found, names = design.isolability, design.sensors
+    if found is None:
+        return ''
+    parts = ['<h2>Whose fault it is</h2>', f'<p>{escape(isolability_text.summary(found))}.</p>']
+    if len(names) <= GRID:
+        marked = {'strong': 'yes', 'weak': 'temporary', 'none': 'no', '': ''}
+        rows = ''.join(f'<tr><th>{escape(s)}</th>' + ''.join(
+            f'<td class="{marked[how]}">{mark}</td>' for how, mark in row) + '</tr>'
+            for s, row in zip(names, isolability_text.table(found, names)))
+        head = ''.join(f'<th>{escape(n)}</th>' for n in (isolability_text.SEEN, *names))
+        parts.append('<p class=small>Can a fault of the row be seen, and told from one of the '
+                     f'column? {escape(isolability_text.KEY)}.</p><table class=pairs>{rows}'
+                     f'<tr><th></th>{head}</tr></table>')
+    if found.gaps:
+        parts.append(f'<ul>{"".join(f"<li>{escape(gap)}</li>" for gap in found.gaps)}</ul>')
+    rows_ = [(escape(r.name), ', '.join(
+        f'{escape(s)} ({"?" if gain is None else design_text.number(gain)})'
+        for s, gain in zip(r.support, r.gains)),
+        escape(design_text.number(r.noise, design.units.get(r.channel, ''))),
+        escape(design_text.number(r.threshold, design.units.get(r.channel, ''))))
+        for r in found.residuals]
+    return ''.join(parts) + _table(
+        rows_, ('residual', 'feels (what a constant fault of 1 makes of it)', 'noise',
+                'threshold to begin with'), (2, 3))
+
+
 def _places(plant: Plant, design: Design, locations: Sequence[Location] | None) -> str:
     head = '<h2>Where one more sensor would help</h2>'
     if locations is None:
@@ -249,7 +277,9 @@ def _places(plant: Plant, design: Design, locations: Sequence[Location] | None) 
         return head + ('<p>Every state is measured already: only a second sensor of the same '
                        'would help.</p>')
     rows = [(f'<code>{escape(place.name)}</code>{_unit(plant, place.name)}',
-             escape(design_text.gained(place)), str(len(place.raised)),
+             escape('; '.join(filter(None, (design_text.gained(place),
+                                            isolability_text.gained(place))))),
+             str(len(place.raised)),
              f'{place.rank} of {len(plant.states)}')
             for place in locations[:MOST_PLACES]]
     more = len(locations) - MOST_PLACES
