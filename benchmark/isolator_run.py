@@ -81,10 +81,12 @@ class Fleet:
                 for j in range(c)]
         at = np.arange(count)[:, None]
         owns = (own + c * at).ravel()
+        supports = np.kron(np.eye(count, dtype=bool), np.array(
+            [[name in names for name in self.sensors] for names in reads]))
         gains = np.zeros((count * r, count * c))
         gains[np.arange(count * r), owns] = 1.0
         noise = np.tile([s.noise.error for s in self.checks if s.noise], count)
-        self.watch = Watch(PERIOD, owns, gains, noise,
+        self.watch = Watch(PERIOD, owns, supports, gains, noise,
                            np.where(np.array(best) < 0, -1, best + r * at).ravel(),
                            WANTED / (TESTS * r), 0.1)
         self.diagnoses = [Diagnosis(self.supports) for _ in range(count)]

@@ -22,6 +22,8 @@ ROUGHER = 2.5  # times the healthy roughness
 BLOCK = 128  # samples
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
+AFTER = 0.5  # s after a spike in which no residual that reads it is judged
+FAR = 2**40  # samples
 PART = 0.1  # of the range that an estimate must move beside a quiet channel that is stuck
 
 Bools = NDArray[np.bool_]
@@ -37,17 +39,23 @@ class Channels:
             np.zeros(count, dtype=np.int64) for _ in range(5))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
         self.range = np.full((2, count), np.nan)  # least and largest reading of the healthy machine
-        self.run, self.gap, self.spikes = (np.zeros(count, dtype=np.int64) for _ in range(3))
-        self.rough = np.full(count, np.nan)  # mean roughness of the last window
-        self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
-        self._raw = np.full((batch + 2, count), np.nan)
-        self._last, self._from = np.full(count, np.nan), np.full(count, np.nan)
-        self._others = np.zeros((batch + 2, count))
-        self._window = np.full((ROUGH // batch, count), np.nan)
-        self._extremes = np.full((2, count), -np.inf)
-        self._streak = np.zeros(count, dtype=np.int64)
+        self.spikes = np.zeros(count, dtype=np.int64)
         self._needed = np.full(count, np.inf)
         self._count = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the last readings, not what was learnt."""
+        count = len(self.spikes)
+        self.run, self.gap, self._streak = (np.zeros(count, dtype=np.int64) for _ in range(3))
+        self.rough = np.full(count, np.nan)  # mean roughness of the last window
+        self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
+        self._last, self._from = np.full(count, np.nan), np.full(count, np.nan)
+        self._raw = np.full((self.batch + 2, count), np.nan)
+        self._others = np.full((self.batch + 2, count), np.nan)
+        self._window = np.full((ROUGH // self.batch, count), np.nan)
+        self._extremes = np.full((2, count), -np.inf)
+        self._calm = np.full(count, FAR, dtype=np.int64)  # samples since the last spike
 
     def step(self, readings: Floats, residuals: Floats, estimates: Floats, learn: Bools | bool,
              ) -> None:
@@ -57,7 +65,7 @@ class Channels:
         residuals: of the virtual sensor of each channel; estimates: of the same. learn: () or (c,).
         """
         self._count += 1
-        self._learn = learn = np.broadcast_to(np.asarray(learn), self.run.shape)
+        learn = np.broadcast_to(np.asarray(learn), self.run.shape)
         for reading, estimate in zip(readings, estimates):
             self._repeat(reading, estimate, learn)
         raw, others = self._raw, self._others
@@ -108,7 +116,10 @@ class Channels:
         apart = np.abs(raw[1:-1] - middle)
         spiked = (apart > SPIKE * self.usual_spike) & known & (
             apart > 0.02 * (self.range[1] - self.range[0]))
-        self.spikes += spiked.sum(axis=0)
+        self._calm += self.batch
+        if spiked.any():
+            self.spikes += spiked.sum(axis=0)
+            self._calm[spiked.any(axis=0)] = 0
         learn = learn & np.isfinite(self._window[self._count % len(self._window)])
         self.samples += self.batch * learn
         share = self.batch * learn / np.maximum(self.samples, 1)
@@ -143,6 +154,10 @@ class Channels:
         enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
         moved = (np.abs(estimates - self._from) > enough) & (self.run > self.longest)
         return (self.run >= self._needed) | (quiet & moved)
+
+    def spiking(self) -> Bools:
+        """Tell which had a spike just now."""
+        return self._calm * self.period < AFTER
 
     def dropped(self) -> Bools:
         """Tell which have said nothing for too long."""

@@ -10,6 +10,7 @@ from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, Floats, WINDO
 
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
+SHORTEST = 16  # samples of a check that counts
 FAST = 0.02  # s; up to this period four samples are taken at a time
 
 Ints = NDArray[np.int64]
@@ -25,14 +26,16 @@ class Watch:
     Detector and channels side by side, of one machine or of many.
 
     own (n,): the channel of each check's virtual sensor, -1: its output is a residual itself.
-    gains (n, c): what a check shows of a constant fault of each channel. noise (n,): standard
+    supports (n, c): who may be at fault. gains (n, c): what a check shows of a constant fault of each channel. noise (n,): standard
     deviation of its residual, as designed. best (c,): the check that shows a channel, -1: none.
+    wraps (n,): what a residual counts modulo, inf: nothing.
     """
 
-    def __init__(self, period: float, own: Ints, gains: Floats, noise: Floats, best: Ints,
-                 false_alarms: float, model_error: float) -> None:
+    def __init__(self, period: float, own: Ints, supports: Bools, gains: Floats, noise: Floats,
+                 best: Ints, false_alarms: float, model_error: float, wraps: Floats | None = None) -> None:
         self.batch = batch_of(period)
         self.own, self.best, self.model_error = own, best, model_error
+        self.supports = supports
         self.gains = np.abs(gains)
         # of most checks one gain only counts, that of the own channel
         alone = (self.gains > 0.0).sum(axis=1) <= 1
@@ -41,6 +44,8 @@ class Watch:
         self.detector = Detector(period, self.batch, false_alarms, PRIOR * noise, WILD * noise)
         self.channels = Channels(period, self.batch, len(best))
         self._seen = best >= 0
+        self._told = None if (own >= 0).all() else own >= 0
+        self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
 
     def step(self, readings: Floats, estimates: Floats, learn: Bools | bool,
              learn_channels: Bools | bool) -> Bools:
@@ -49,14 +54,22 @@ class Watch:
 
         learn, () or (n,), and learn_channels, () or (c,): who counts as healthy.
         """
-        residuals = -estimates
-        told = self.own >= 0
-        residuals[:, told] += readings[:, self.own[told]]
+        if self._told is None:
+            residuals = readings[:, self.own] - estimates
+        else:
+            residuals = np.where(self._told, readings[:, self.own], 0.0) - estimates
+        if self._wraps is not None:
+            residuals -= np.where(np.isfinite(self._wraps), self._wraps, 0.0) * np.round(
+                residuals / self._wraps)
         shown = np.where(self._seen, residuals[:, self.best], np.nan)
         said = np.where(self._seen, estimates[:, self.best], np.nan)
         self.channels.step(readings, shown, said, learn_channels)
         self.said = said[-1]
-        return self.detector.step(residuals, learn, self._widened())
+        alarms = self.detector.step(residuals, learn, self._widened())
+        spiking = self.channels.spiking()
+        if spiking.any():  # what spikes leave behind is nobody's fault
+            alarms &= ~self.supports[:, spiking].any(axis=1)
+        return alarms
 
     def _widened(self) -> Floats:
         """Return by how much motion beyond what was learnt moves the thresholds (n,)."""
@@ -71,6 +84,15 @@ class Watch:
             span = np.nan_to_num(channels.range[1] - channels.range[0])
             widened = widened + fresh * (self.gains @ span)
         return self.model_error * widened
+
+    def running(self) -> Bools:
+        """Tell which checks have been fed for a while (n,)."""
+        return self.detector.filled > SHORTEST
+
+    def restart(self) -> None:
+        """Forget all samples, not what was learnt."""
+        self.detector.restart(np.arange(len(self.own)))
+        self.channels.restart()
 
     def centre(self, column: int) -> float:
         """Return the mean of a healthy residual."""
