@@ -17,8 +17,10 @@ from benchmark.isolator_plants import (
     Observers,
     PERIOD,
 )
+from benchmark.isolator_peer import Peer
 from vsensor_ros.isolator.detector import TESTS
 from vsensor_ros.isolator.diagnosis import Diagnosis
+from vsensor_ros.isolator.recovery import Recovery
 from vsensor_ros.isolator.watch import Watch
 
 WANTED = 1 / 86400.0  # false alarms a second, of one machine
@@ -59,8 +61,10 @@ class Outcome:
 
     time: Floats  # s since the fault
     sensor: NDArray[np.int64]
-    alarmed: Floats  # s since the fault, the first alarm
     wrong: int  # machines in which ever another sensor was blamed
+    believed: int  # that would have been believed again, while the fault still was there
+    peer_sensor: NDArray[np.int64]  # whom the peer blamed first
+    peer_time: Floats  # s since the fault
 
 
 class Fleet:
@@ -103,14 +107,14 @@ class Fleet:
 
     def tick(self, faults: Faults | None = None, time: float = 0.0) -> bool:
         """Go on by a period; tell whether a batch was full and judged."""
-        readings, commands = self.machines.step()
+        readings, self.commands = self.machines.step()
         if faults is not None:
             readings = faults.put(readings, self.said, time, self.case.noise,
                                   self.random.standard_normal(self.count))
         self.said = readings
         place = self.ticks % self.watch.batch
         self.readings[place] = readings
-        self.estimates[place] = self.observers.step(readings, commands)
+        self.estimates[place] = self.observers.step(readings, self.commands)
         self.ticks += 1
         if self.ticks % self.watch.batch:
             return False
@@ -158,23 +162,39 @@ class Fleet:
                 known[m] = state
         return told
 
-    def campaign(self, faults: Faults, seconds: float) -> Outcome:
-        """Let each machine have its fault; return what was said of it."""
-        time, alarmed = np.full(self.count, np.nan), np.full(self.count, np.nan)
-        first = np.full(self.count, -1)
-        wrong = set()
+    def campaign(self, faults: Faults, seconds: float, dwell: float = 10.0) -> Outcome:
+        """Let each machine have its fault; return what was said of it, by the peer, too."""
+        time, peer_time = np.full(self.count, np.nan), np.full(self.count, np.nan)
+        first, peer_first = np.full(self.count, -1), np.full(self.count, -1)
+        wrong: set[int] = set()
+        recoveries: dict[int, Recovery] = {}
+        believed: set[int] = set()
+        peer = Peer(self.case, self.machines.x)
         for k in range(round(seconds / PERIOD)):
             now = k * PERIOD
-            if not self.tick(faults, now):
+            judged = self.tick(faults, now)
+            for m, j in zip(*np.nonzero(peer.step(self.said, self.commands))):
+                if peer_first[m] < 0:
+                    peer_first[m], peer_time[m] = j, now - faults.start[m]
+            if not judged:
                 continue
+            levels = self.watch.detector.level(16)
+            noisy = self.watch.channels.noisy().reshape(self.count, -1)
+            runs = self.watch.channels.run.reshape(self.count, -1)
             for m in self.busy:
                 d, since = self.diagnoses[m], now - faults.start[m]
-                if np.isnan(alarmed[m]):
-                    alarmed[m] = since
                 for s in d.found:
                     sensor = s.bit_length() - 1
                     if first[m] < 0:
                         first[m], time[m] = sensor, since
                     if sensor != faults.sensor[m]:
                         wrong.add(m)
-        return Outcome(time, first, alarmed, len(wrong))
+                j = faults.sensor[m]
+                if 1 << int(j) in d.found:
+                    best = int(self.watch.best.reshape(self.count, -1)[m, j])
+                    deviation = None if best < 0 else levels[best] - self.watch.centre(best)
+                    recovery = recoveries.setdefault(m, Recovery(dwell))
+                    if recovery.step(now, deviation, not (noisy[m, j] or runs[m, j]),
+                                     faults.kind in ('bias', 'drift')) and now < faults.end:
+                        believed.add(m)
+        return Outcome(time, first, len(wrong), len(believed), peer_first, peer_time)

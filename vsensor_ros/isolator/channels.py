@@ -22,7 +22,7 @@ ROUGHER = 2.5  # times the healthy roughness
 BLOCK = 128  # samples
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
-AFTER = 0.5  # s after a spike in which no residual that reads it is judged
+AFTER = 5.0  # s after a spike in which a channel counts as spiking
 FAR = 2**40  # samples
 PART = 0.1  # of the range that an estimate must move beside a quiet channel that is stuck
 
@@ -40,7 +40,8 @@ class Channels:
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
         self.range = np.full((2, count), np.nan)  # least and largest reading of the healthy machine
         self.spikes = np.zeros(count, dtype=np.int64)
-        self._needed = np.full(count, np.inf)
+        # drawn from the record: repeats that are too many, the roughest bend and the least spike
+        self._needed, self._roughest, self._spike = (np.full(count, np.inf) for _ in range(3))
         self._count = 0
         self.restart()
 
@@ -48,13 +49,13 @@ class Channels:
         """Forget the last readings, not what was learnt."""
         count = len(self.spikes)
         self.run, self.gap, self._streak = (np.zeros(count, dtype=np.int64) for _ in range(3))
-        self.rough = np.full(count, np.nan)  # mean roughness of the last window
         self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
-        self._last, self._from = np.full(count, np.nan), np.full(count, np.nan)
+        self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
         self._raw = np.full((self.batch + 2, count), np.nan)
         self._others = np.full((self.batch + 2, count), np.nan)
         self._window = np.full((ROUGH // self.batch, count), np.nan)
         self._extremes = np.full((2, count), -np.inf)
+        self._bent, self._apart = np.zeros(count), np.zeros(count)  # sums of the block
         self._calm = np.full(count, FAR, dtype=np.int64)  # samples since the last spike
 
     def step(self, readings: Floats, residuals: Floats, estimates: Floats, learn: Bools | bool,
@@ -66,34 +67,42 @@ class Channels:
         """
         self._count += 1
         learn = np.broadcast_to(np.asarray(learn), self.run.shape)
-        for reading, estimate in zip(readings, estimates):
-            self._repeat(reading, estimate, learn)
         raw, others = self._raw, self._others
         raw[:2], others[:2] = raw[-2:], others[-2:]
         raw[2:], others[2:] = readings, residuals
+        if (raw[1:-1] != raw[2:]).all() and not np.isnan(raw[1:].sum()):  # the usual case
+            self.run[:] = self.gap[:] = 0
+            self._last, self._from = readings[-1].copy(), estimates[-1].copy()
+            self.pairs += self.batch * learn
+        else:
+            for reading, estimate in zip(readings, estimates):
+                self._repeat(reading, estimate, learn)
         low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
         middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
         self._move(middle, learn)
-        self._roughen(raw, others, middle, learn)
+        self._roughen(raw, others, middle)
         if self._count % (BLOCK // self.batch) == 0:
             self._end_block()
 
     def _repeat(self, reading: Floats, estimate: Floats, learn: Bools) -> None:
         missing = reading != reading
+        same = reading == self._last
+        if learn.any():  # a gap or a run is part of a habit when it has ended
+            fresh = learn & ~missing
+            self.repeats += same & learn
+            self.pairs += fresh
+            ended = fresh & ~same
+            np.maximum(self.longest, ended * self.run, out=self.longest)
+            np.maximum(self.longest_gap, fresh * self.gap, out=self.longest_gap)
+            np.fmax(self.travel, np.where(ended & (self.run > 0), self._moved, 0.0),
+                    out=self.travel)
         self.gap += 1
         self.gap *= missing
-        same = reading == self._last
         self.run += same
         self.run *= same | missing
         self._last = np.where(missing, self._last, reading)
         self._from = np.where(self.run > 0, self._from, estimate)
-        if learn.any():
-            self.repeats += same & learn
-            self.pairs += ~missing & learn
-            np.maximum(self.longest, np.where(learn, self.run, 0), out=self.longest)
-            np.maximum(self.longest_gap, np.where(learn, self.gap, 0), out=self.longest_gap)
-            moved = np.where(learn & (self.run > 0), np.abs(estimate - self._from), 0.0)
-            np.fmax(self.travel, moved, out=self.travel)
+        self._moved = np.abs(estimate - self._from)  # since the value was new
 
     def _move(self, middle: Floats, learn: Bools) -> None:
         low, high = self.range
@@ -105,35 +114,31 @@ class Channels:
         self._streak += self.batch
         self._streak *= learn
 
-    def _roughen(self, raw: Floats, others: Floats, middle: Floats, learn: Bools) -> None:
+    def _roughen(self, raw: Floats, others: Floats, middle: Floats) -> None:
         bends = np.abs(raw[2:] - 2 * raw[1:-1] + raw[:-2])
         np.fmin(bends, np.abs(others[2:] - 2 * others[1:-1] + others[:-2]), out=bends)
-        known = self.samples >= KNOWN
-        if known.any():
-            np.minimum(bends, np.where(known, 5 * self.roughness, np.inf), out=bends)
+        np.minimum(bends, self._roughest, out=bends)
         self._window[self._count % len(self._window)] = bends.mean(axis=0)
-        self.rough = self._window.mean(axis=0)
         apart = np.abs(raw[1:-1] - middle)
-        spiked = (apart > SPIKE * self.usual_spike) & known & (
-            apart > 0.02 * (self.range[1] - self.range[0]))
+        spiked = apart > self._spike
         self._calm += self.batch
         if spiked.any():
             self.spikes += spiked.sum(axis=0)
             self._calm[spiked.any(axis=0)] = 0
-        learn = learn & np.isfinite(self._window[self._count % len(self._window)])
-        self.samples += self.batch * learn
-        share = self.batch * learn / np.maximum(self.samples, 1)
-        new = self._window[self._count % len(self._window)]
-        self.roughness += share * (np.where(learn, new, 0.0) - self.roughness)
-        away = np.where(learn, np.minimum(apart, np.where(
-            known, 5 * self.usual_spike, np.inf)).mean(axis=0), 0.0)
-        self.usual_spike += share * (away - self.usual_spike)
+        self._apart += np.minimum(apart, self._spike / 2).sum(axis=0)
+        self._bent += bends.sum(axis=0)
 
     def _end_block(self) -> None:
         known = (self._streak >= BLOCK) & np.isfinite(self._extremes).all(axis=0)
         for row in (0, 1):
             self.motion.add(row, self._extremes[row], known)
+        calm = known & np.isfinite(self._bent)
+        self.samples += BLOCK * calm
+        share = BLOCK * calm / np.maximum(self.samples, 1)
+        self.roughness += share * (np.where(calm, self._bent, 0.0) / BLOCK - self.roughness)
+        self.usual_spike += share * (np.where(calm, self._apart, 0.0) / BLOCK - self.usual_spike)
         self._extremes[:] = -np.inf
+        self._bent[:] = self._apart[:] = 0.0
         self.refresh()
 
     def refresh(self) -> None:
@@ -145,6 +150,10 @@ class Channels:
         self._needed = np.where((share < OFTEN) & (self.pairs >= KNOWN),
                                 np.maximum(np.maximum(repeats, FEWEST_REPEATS), 2 * self.longest),
                                 np.inf)
+        known = self.samples >= KNOWN
+        self._roughest = np.where(known, 5 * self.roughness, np.inf)
+        least = 0.02 * (self.range[1] - self.range[0])
+        self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
 
     def stuck(self, estimates: Floats) -> Bools:
         """Tell which repeat their value for too long, beside what they do, or the estimates (c,)."""
@@ -154,6 +163,11 @@ class Channels:
         enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
         moved = (np.abs(estimates - self._from) > enough) & (self.run > self.longest)
         return (self.run >= self._needed) | (quiet & moved)
+
+    @property
+    def rough(self) -> Floats:
+        """Mean roughness of the last window (c,); NaN: not known."""
+        return self._window.mean(axis=0)
 
     def spiking(self) -> Bools:
         """Tell which had a spike just now."""

@@ -19,7 +19,7 @@ TESTS = 4 * len(WINDOWS)  # of a column: level and contrast, above and below
 SPAN = 5 * WINDOWS[-1]  # samples that are kept
 ENOUGH = 300.0  # s of a healthy machine, before which its record is not trusted
 AT_ONCE = 64  # columns whose thresholds are computed in one step
-GROWTH = 1.1  # of what was learnt, until thresholds are computed anew
+GROWTH = 1.25  # of what was learnt, until thresholds are computed anew
 
 Bools = NDArray[np.bool_]
 
@@ -57,7 +57,7 @@ class Detector:
         self._least = np.full((2, count, n), np.inf)
         self._count = 0  # batches
         self._jobs: list[tuple[int, slice]] = []
-        self._next = 0.0  # learnt samples at which thresholds are computed anew
+        self._next = ENOUGH / period  # learnt samples at which thresholds are computed anew
 
     def step(self, samples: Floats, learn: Bools | bool, widened: Floats | float = 0.0) -> Bools:
         """
@@ -131,7 +131,7 @@ class Detector:
                     self._end_block(w)
             most = float(self.learnt.max(initial=0))
             if most >= self._next and not self._jobs:
-                self._next = GROWTH * most + 0.02 * ENOUGH / self.period
+                self._next = GROWTH * most
                 self._jobs = [(w, slice(i, i + AT_ONCE)) for w in range(len(WINDOWS))
                               for i in range(0, len(self.prior), AT_ONCE)]
         elif self._jobs:

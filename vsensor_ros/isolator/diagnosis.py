@@ -52,6 +52,9 @@ class Diagnosis:
     def _judge(self, time: float, running: Bools) -> None:
         masks = [*(self.supports[check] for check in self.conflicts), *self.direct]
         sets = least_hitting_sets(masks) if masks else [0]
+        known = sum(self.found)
+        # who was found stays, as long as that is as likely as anything else
+        sets = [mask for mask in sets if mask & known == known] or sets
         self.model = not self.direct and self._all_at_once(time, running, sets)
         if self.model or not sets:
             self.model = True

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.isolator.channels import ROUGH
 from vsensor_ros.isolator.detector import ENOUGH, TESTS, WINDOWS
 from vsensor_ros.isolator.diagnosis import Diagnosis
 from vsensor_ros.isolator.recovery import Recovery
@@ -178,7 +179,7 @@ class Isolator:
         fault, channels = known.fault, self.watch.channels
         if direct == NOISE:
             size = float(channels.rough[j] / channels.roughness[j])
-            begun = fault.onset if fault.kind == NOISE else self._ago(time, SHORT)
+            begun = fault.onset if fault.kind == NOISE else self._ago(time, ROUGH)
             fault = replace(fault, kind=NOISE, size=size, onset=min(fault.onset, begun))
         elif direct is not None:
             run = channels.run[j] if direct == STUCK else channels.gap[j]

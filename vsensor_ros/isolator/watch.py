@@ -11,6 +11,7 @@ from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, Floats, WINDO
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
 SHORTEST = 16  # samples of a check that counts
+LASTING = 2  # the window against whose thresholds a median is held
 FAST = 0.02  # s; up to this period four samples are taken at a time
 
 Ints = NDArray[np.int64]
@@ -67,9 +68,16 @@ class Watch:
         self.said = said[-1]
         alarms = self.detector.step(residuals, learn, self._widened())
         spiking = self.channels.spiking()
-        if spiking.any():  # what spikes leave behind is nobody's fault
-            alarms &= ~self.supports[:, spiking].any(axis=1)
+        if spiking.any() and alarms.any():  # what spikes leave behind is nobody's fault
+            for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):
+                alarms[i] = self._lasts(int(i))
         return alarms
+
+    def _lasts(self, check: int) -> bool:
+        """Tell whether a check would alarm by its median, which spikes do not move."""
+        past = self.detector.past(check, 2 * WINDOWS[LASTING])
+        above, below = self.detector.thresholds[[LASTING, len(WINDOWS) + LASTING], check]
+        return len(past) > 0 and not -below <= float(np.median(past)) <= above
 
     def _widened(self) -> Floats:
         """Return by how much motion beyond what was learnt moves the thresholds (n,)."""
