@@ -18,7 +18,10 @@ FEWEST_REPEATS = 5
 KNOWN = 1000  # samples, before which the habits of a channel are not known
 MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
 ROUGH = 64  # samples of the window of roughness
-ROUGHER = 2.5  # times the healthy roughness
+ROUGHER = 2.0  # times the healthy roughness
+ROUGHEST = 1.5  # times the roughest windows that the healthy machine showed
+HALF = 1.5  # times the healthy roughness half of the bends are above, of a noisy channel
+CAP = 3.0  # times the healthy roughness is what one bend counts as at most, so spikes are few
 BLOCK = 128  # samples
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
@@ -34,14 +37,16 @@ class Channels:
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
-        self.motion = BlockMaxima(2, count)  # of readings, above and below
+        # of readings above, and below; and of the roughness of a window
+        self.motion = BlockMaxima(3, count)
         self.repeats, self.pairs, self.longest, self.longest_gap, self.samples = (
             np.zeros(count, dtype=np.int64) for _ in range(5))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
         self.range = np.full((2, count), np.nan)  # least and largest reading of the healthy machine
         self.spikes = np.zeros(count, dtype=np.int64)
-        # drawn from the record: repeats that are too many, the roughest bend and the least spike
-        self._needed, self._roughest, self._spike = (np.full(count, np.inf) for _ in range(3))
+        # drawn from the record: repeats that are too many, what is too rough and what is a spike
+        self._needed, self._cap, self._roughest, self._spike = (
+            np.full(count, np.inf) for _ in range(4))
         self._count = 0
         self.restart()
 
@@ -53,7 +58,7 @@ class Channels:
         self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
         self._raw = np.full((self.batch + 2, count), np.nan)
         self._others = np.full((self.batch + 2, count), np.nan)
-        self._window = np.full((ROUGH // self.batch, count), np.nan)
+        self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
         self._extremes = np.full((2, count), -np.inf)
         self._bent, self._apart = np.zeros(count), np.zeros(count)  # sums of the block
         self._calm = np.full(count, FAR, dtype=np.int64)  # samples since the last spike
@@ -117,8 +122,9 @@ class Channels:
     def _roughen(self, raw: Floats, others: Floats, middle: Floats) -> None:
         bends = np.abs(raw[2:] - 2 * raw[1:-1] + raw[:-2])
         np.fmin(bends, np.abs(others[2:] - 2 * others[1:-1] + others[:-2]), out=bends)
-        np.minimum(bends, self._roughest, out=bends)
-        self._window[self._count % len(self._window)] = bends.mean(axis=0)
+        self._bent += bends.sum(axis=0)
+        np.minimum(bends, self._cap, out=bends)
+        self._window[self._count % len(self._window)] = bends
         apart = np.abs(raw[1:-1] - middle)
         spiked = apart > self._spike
         self._calm += self.batch
@@ -126,13 +132,13 @@ class Channels:
             self.spikes += spiked.sum(axis=0)
             self._calm[spiked.any(axis=0)] = 0
         self._apart += np.minimum(apart, self._spike / 2).sum(axis=0)
-        self._bent += bends.sum(axis=0)
 
     def _end_block(self) -> None:
         known = (self._streak >= BLOCK) & np.isfinite(self._extremes).all(axis=0)
         for row in (0, 1):
             self.motion.add(row, self._extremes[row], known)
-        calm = known & np.isfinite(self._bent)
+        calm = known & np.isfinite(self._bent) & (self._calm >= BLOCK)
+        self.motion.add(2, self.rough, calm)
         self.samples += BLOCK * calm
         share = BLOCK * calm / np.maximum(self.samples, 1)
         self.roughness += share * (np.where(calm, self._bent, 0.0) / BLOCK - self.roughness)
@@ -151,7 +157,10 @@ class Channels:
                                 np.maximum(np.maximum(repeats, FEWEST_REPEATS), 2 * self.longest),
                                 np.inf)
         known = self.samples >= KNOWN
-        self._roughest = np.where(known, 5 * self.roughness, np.inf)
+        roughest = np.maximum(self.motion.usual(2), self.roughness)
+        self._cap = np.where(known, CAP * roughest, np.inf)
+        self._roughest = np.where(known, np.maximum(ROUGHER * self.roughness,
+                                                    ROUGHEST * roughest), np.inf)
         least = 0.02 * (self.range[1] - self.range[0])
         self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
 
@@ -167,7 +176,7 @@ class Channels:
     @property
     def rough(self) -> Floats:
         """Mean roughness of the last window (c,); NaN: not known."""
-        return self._window.mean(axis=0)
+        return self._window.mean(axis=(0, 1))
 
     def spiking(self) -> Bools:
         """Tell which had a spike just now."""
@@ -179,4 +188,8 @@ class Channels:
 
     def noisy(self) -> Bools:
         """Tell which are far rougher than the healthy machine."""
-        return (self.rough > ROUGHER * self.roughness) & (self.samples >= KNOWN)
+        noisy = self.rough > self._roughest
+        if noisy.any():  # all bends are larger then, not those at spikes only
+            half = np.median(self._window[:, :, noisy], axis=(0, 1))
+            noisy[noisy] = half > HALF * self.roughness[noisy]
+        return noisy

@@ -82,7 +82,7 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
     detector, channels = isolator.watch.detector, isolator.watch.channels
     learnt = _counts(reader, 'learnt', r)
     maxima = _maxima(reader.object('maxima'), TESTS, r)
-    motion = _maxima(reader.object('motion'), 2, c)
+    motion = _maxima(reader.object('motion'), 3, c)
     counts = {key: _counts(reader, key, c) for key in COUNTS}
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
     if np.any(counts['repeats'] > counts['pairs']):
