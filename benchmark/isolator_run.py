@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.isolator_peer import Peer
 from benchmark.isolator_plants import (
     Case,
     checks_of,
@@ -17,7 +18,6 @@ from benchmark.isolator_plants import (
     Observers,
     PERIOD,
 )
-from benchmark.isolator_peer import Peer
 from vsensor_ros.isolator.detector import TESTS
 from vsensor_ros.isolator.diagnosis import Diagnosis
 from vsensor_ros.isolator.recovery import Recovery

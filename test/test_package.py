@@ -29,6 +29,7 @@ ARROWS = {  # room: what it may import besides itself
     'observers': LEAVES | {'functions'},
     'designer': LEAVES | {'functions', 'plant', 'observers'},
     'bank': LEAVES | {'functions', 'observers'},
+    'isolator': LEAVES | {'observers'},
     'engine': LEAVES | {'bank', 'observers'},
     'node': LEAVES | {'engine', 'bank', 'observers'},
     'recordings': LEAVES | {'plant', 'observers', 'engine'},
@@ -238,7 +239,7 @@ def test_machine_never_loads_the_desk():
     # one after the other: what the command loads when it starts is the node
     run(sys.executable, '-c', f"""
 import importlib, sys
-for module in ('functions', 'observers', 'bank', 'engine', 'command.replacer', 'node'):
+for module in ('functions', 'observers', 'bank', 'isolator', 'engine', 'command.replacer', 'node'):
     importlib.import_module('vsensor_ros.' + module)
     loaded = {{name.split('.')[0] for name in sys.modules}} & {DESK}
     rooms = {{'vsensor_ros.' + room for room in ('plant', 'designer', 'simulate')}} & set(

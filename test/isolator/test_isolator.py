@@ -35,7 +35,8 @@ def test_a_fault_is_named_with_its_onset_and_size(machine, kind):
     assert began < fault.found * 1e-9 < began + 8.0
     if kind == 'bias':
         assert fault.size == pytest.approx(0.2, abs=0.03)
-        assert str(fault.reason(verdict.time)).startswith('b: bias, began about 19.9 s ago, now +0.')
+        assert str(fault.reason(verdict.time)).startswith(
+            'b: bias, began about 19.9 s ago, now +0.')
     elif kind == 'drift':
         assert fault.size == pytest.approx(0.4, abs=0.04)
         assert str(fault.reason(verdict.time)).endswith(f'now {fault.size:+.3g} rad/s')

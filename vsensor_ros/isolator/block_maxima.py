@@ -1,8 +1,8 @@
 """
 What extremes a healthy machine shows, in bounded memory, and the thresholds that follow.
 
-A *cell* is one test of one column. Its record is the maxima of equal blocks of time. When the store
-is full, neighbours are merged, so that the whole history stays in it at half the resolution.
+A *cell* is one test of one column. Its record is the maxima of equal blocks of time. When the
+store is full, neighbours are merged, so that the whole history stays in it at half the resolution.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def thresholds(maxima: Floats, count: NDArray[np.int64], blocks_per_alarm: Float
     upper quartile, u + beta ln(k/m n), as that of Gaussian noise is. beta is made larger by the
     standard error of the mean of k excesses.
     """
-    start, excess, share = tail(np.where(np.isfinite(maxima), np.maximum(maxima, 0.0)**2, -np.inf), count)
+    squares = np.where(np.isfinite(maxima), np.maximum(maxima, 0.0)**2, -np.inf)
+    start, excess, share = tail(squares, count)
     beta = excess * (1.0 + 1.0 / np.sqrt(np.maximum(share * count, 1.0)))
     level = start + beta * np.log(np.maximum(share * blocks_per_alarm, 1.0))
     return np.where(count >= FEWEST, np.sqrt(level), np.inf)

@@ -20,7 +20,6 @@ MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
 ROUGH = 64  # samples of the window of roughness
 ROUGHER = 2.0  # times the healthy roughness
 ROUGHEST = 1.5  # times the roughest windows that the healthy machine showed
-HALF = 1.5  # times the healthy roughness half of the bends are above, of a noisy channel
 CAP = 3.0  # times the healthy roughness is what one bend counts as at most, so spikes are few
 BLOCK = 128  # samples
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
@@ -35,6 +34,15 @@ Bools = NDArray[np.bool_]
 class Channels:
     """Any number of channels c, a batch of samples at a time."""
 
+    range: Floats
+    _last: Floats
+    _from: Floats
+    _moved: Floats
+    _needed: Floats
+    _cap: Floats
+    _roughest: Floats
+    _spike: Floats
+
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
         # of readings above, and below; and of the roughness of a window
@@ -42,7 +50,7 @@ class Channels:
         self.repeats, self.pairs, self.longest, self.longest_gap, self.samples = (
             np.zeros(count, dtype=np.int64) for _ in range(5))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
-        self.range = np.full((2, count), np.nan)  # least and largest reading of the healthy machine
+        self.range = np.full((2, count), np.nan)  # least and largest healthy reading
         self.spikes = np.zeros(count, dtype=np.int64)
         # drawn from the record: repeats that are too many, what is too rough and what is a spike
         self._needed, self._cap, self._roughest, self._spike = (
@@ -68,7 +76,7 @@ class Channels:
         """
         Take a batch of samples (batch, c); NaN: no reading, or nobody to estimate it.
 
-        residuals: of the virtual sensor of each channel; estimates: of the same. learn: () or (c,).
+        residuals, estimates: of the virtual sensor of each channel. learn: () or (c,).
         """
         self._count += 1
         learn = np.broadcast_to(np.asarray(learn), self.run.shape)
@@ -165,7 +173,7 @@ class Channels:
         self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
 
     def stuck(self, estimates: Floats) -> Bools:
-        """Tell which repeat their value for too long, beside what they do, or the estimates (c,)."""
+        """Tell which repeat their value for too long, by their habit or beside estimates (c,)."""
         quiet = np.isinf(self._needed) & (self.pairs >= KNOWN)
         if not quiet.any():
             return self.run >= self._needed
@@ -190,6 +198,6 @@ class Channels:
         """Tell which are far rougher than the healthy machine."""
         noisy = self.rough > self._roughest
         if noisy.any():  # all bends are larger then, not those at spikes only
-            half = np.median(self._window[:, :, noisy], axis=(0, 1))
-            noisy[noisy] = half > HALF * self.roughness[noisy]
+            quiet = np.quantile(self._window[:, :, noisy], 0.25, axis=(0, 1))
+            noisy[noisy] = quiet > self.roughness[noisy]  # 0.4 times that while healthy
         return noisy

@@ -1,9 +1,9 @@
 """
 The detector: means of residuals over windows, against what the healthy machine has shown.
 
-Each column (a residual) goes through a median of three. Then on windows of 1, 4, 16, .. 1024 samples
-there are two tests: the *level* is the mean of the window, the *contrast* is that less the mean of
-the four windows before it. Long windows are looked at every quarter of their length only.
+Each column (a residual) goes through a median of three. Then on windows of 1, 4, 16, .. 1024
+samples there are two tests: the *level* is the mean of the window, the *contrast* is that less the
+mean of the four windows before it. Long windows are looked at every quarter of their length only.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Detector:
         np.greater(above, limits[:, 0] + widened, out=passed)
         passed |= below < -(limits[:, 1] + widened)
         self._learn(above, below, due, learn)
-        return self.high.any(axis=(0, 1))
+        return np.logical_or.reduce(self.high, axis=(0, 1))
 
     def _tests(self, due: int) -> Floats:
         """Return level and contrast of the first windows (2, due, n)."""
@@ -111,7 +111,7 @@ class Detector:
         return tests
 
     def _single(self, middle: Floats) -> tuple[Floats, Floats]:
-        """Return the extremes of a batch: level and contrast of windows of one, above and below."""
+        """Return the extremes of level and contrast of windows of one, above and below."""
         before = self._sums[(self._count - 1) % self._span]
         before = (before - self._sums[(self._count - 1 - self._parts) % self._span]) / 4
         most, least = middle.max(axis=0), middle.min(axis=0)
@@ -160,7 +160,8 @@ class Detector:
             middle = beside(maxima, count)
             off = np.stack([middle, -middle])
             block = self.period * BLOCKS[w] * self.maxima.merged[both, columns]
-            found = off + thresholds(maxima - off, count, 1.0 / (self.false_alarms * block))
+            found = np.add(off, thresholds(np.subtract(maxima, off), count,
+                                           np.divide(1.0 / self.false_alarms, block)))
             self.thresholds[both, columns] = np.where(trusted & np.isfinite(found), found,
                                                       self.prior[columns])
 

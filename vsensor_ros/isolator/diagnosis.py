@@ -34,7 +34,8 @@ class Diagnosis:
         """Whether something is wrong: then nothing may be learnt."""
         return bool(self.conflicts or self.direct)
 
-    def update(self, time: float, alarms: Bools, running: Bools, direct: Iterable[int] = ()) -> None:
+    def update(self, time: float, alarms: Bools, running: Bools,
+               direct: Iterable[int] = ()) -> None:
         """Take who alarms and who runs at all (checks,), and whose readings show a fault."""
         new = False
         for check in np.flatnonzero(alarms):

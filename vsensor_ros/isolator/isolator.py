@@ -50,7 +50,7 @@ class _Known:
 
 class Isolator:
     """
-    Whose fault it is, by the residuals of a design; one `step` for each confirmed time of the grid.
+    Whose fault it is, by the residuals of a design; one `step` for each time of the grid.
 
     sensors: names, c of them. residuals: r of them, of the design. period [s] of the grid. wraps:
     of sensors whose residual counts modulo so much. units: for what is said.
@@ -76,7 +76,7 @@ class Isolator:
         best = [min((i for i, of in enumerate(own) if of == j), default=-1,
                     key=lambda i: len(residuals[i].support)) for j in range(len(sensors))]
         wanted = settings.false_alarms_per_day / DAY / (TESTS * max(len(own), 1))
-        supports = np.array([[name in r.support for name in sensors] for r in residuals], dtype=bool)
+        supports = np.array([[name in r.support for name in sensors] for r in residuals], bool)
         self.watch = Watch(period, np.array(own, dtype=np.int64),
                            supports.reshape(len(own), len(sensors)), gains,
                            np.array([r.noise for r in residuals], dtype=float),

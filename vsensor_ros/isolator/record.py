@@ -1,8 +1,8 @@
 """
 What was learnt of the healthy machine, in a file of its own.
 
-JSON text. It is bound to the design by a hash that the caller gives, and checked when it is loaded:
-nothing in it is trusted, and nothing is loaded when something is wrong.
+JSON text. It is bound to the design by a hash that the caller gives, and checked when it is
+loaded: nothing in it is trusted, and nothing is loaded when something is wrong.
 """
 
 from __future__ import annotations

@@ -35,7 +35,8 @@ class Settings:
             _check(f'smallest_fault.{name}', value)
         if not 1e-6 <= self.false_alarms_per_day <= 1e4:
             raise BadInput('isolator', 'false_alarms_per_day',
-                           f'{self.false_alarms_per_day:g} is not between 1e-6 and 1e4', '1 is usual')
+                           f'{self.false_alarms_per_day:g} is not between 1e-6 and 1e4',
+                           '1 is usual')
         if self.model_error > 1.0:
             raise BadInput('isolator', 'model_error', f'{self.model_error:g} is more than 1',
                            'it is a share of the motion; 0.1 is usual')

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vsensor_ros.isolator.block_maxima import Floats
 from vsensor_ros.isolator.channels import Channels
-from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, Floats, WINDOWS
+from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, WINDOWS
 
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
@@ -27,13 +28,14 @@ class Watch:
     Detector and channels side by side, of one machine or of many.
 
     own (n,): the channel of each check's virtual sensor, -1: its output is a residual itself.
-    supports (n, c): who may be at fault. gains (n, c): what a check shows of a constant fault of each channel. noise (n,): standard
-    deviation of its residual, as designed. best (c,): the check that shows a channel, -1: none.
-    wraps (n,): what a residual counts modulo, inf: nothing.
+    supports (n, c): who may be at fault. gains (n, c): what a check shows of a constant fault of
+    each channel. noise (n,): standard deviation of its residual, as designed. best (c,): the check
+    that shows a channel, -1: none. wraps (n,): what a residual counts modulo, inf: nothing.
     """
 
     def __init__(self, period: float, own: Ints, supports: Bools, gains: Floats, noise: Floats,
-                 best: Ints, false_alarms: float, model_error: float, wraps: Floats | None = None) -> None:
+                 best: Ints, false_alarms: float, model_error: float,
+                 wraps: Floats | None = None) -> None:
         self.batch = batch_of(period)
         self.own, self.best, self.model_error = own, best, model_error
         self.supports = supports
