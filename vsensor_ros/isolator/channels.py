@@ -47,8 +47,8 @@ class Channels:
         self.period, self.batch = period, batch
         # of readings above, and below; and of the roughness of a window
         self.motion = BlockMaxima(3, count)
-        self.repeats, self.pairs, self.longest, self.longest_gap, self.samples = (
-            np.zeros(count, dtype=np.int64) for _ in range(5))
+        self.repeats, self.again, self.pairs, self.longest, self.longest_gap, self.samples = (
+            np.zeros(count, dtype=np.int64) for _ in range(6))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
         self.range = np.full((2, count), np.nan)  # least and largest healthy reading
         self.spikes = np.zeros(count, dtype=np.int64)
@@ -103,6 +103,7 @@ class Channels:
         if learn.any():  # a gap or a run is part of a habit when it has ended
             fresh = learn & ~missing
             self.repeats += same & learn
+            self.again += same & learn & (self.run > 0)
             self.pairs += fresh
             ended = fresh & ~same
             np.maximum(self.longest, ended * self.run, out=self.longest)
@@ -160,6 +161,8 @@ class Channels:
         usual = np.stack([-self.motion.usual(1), self.motion.usual(0)])
         self.range = np.where(np.isfinite(usual), usual, np.nan)
         share = (self.repeats + 1) / (self.pairs + 2)
+        # of what rests now and then, repeats follow each other
+        share = np.maximum(share, (self.again + share) / (self.repeats + 1))
         repeats = np.ceil(np.log(CHANCE) / np.log(share))
         self._needed = np.where((share < OFTEN) & (self.pairs >= KNOWN),
                                 np.maximum(np.maximum(repeats, FEWEST_REPEATS), 2 * self.longest),

@@ -25,7 +25,7 @@ FORMAT = 'vsensor_ros isolation record'
 VERSION = 1
 MEND = 'remove the file; the isolator then learns anew'
 MOST = 2**53  # samples, of any count
-COUNTS = ('repeats', 'pairs', 'longest', 'longest_gap', 'samples')  # of channels
+COUNTS = ('repeats', 'again', 'pairs', 'longest', 'longest_gap', 'samples')  # of channels
 SIZES = ('travel', 'roughness', 'usual_spike')  # of channels
 
 
@@ -85,6 +85,8 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
     motion = _maxima(reader.object('motion'), 3, c)
     counts = {key: _counts(reader, key, c) for key in COUNTS}
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
+    if np.any(counts['again'] > counts['repeats']):
+        raise reader.fail('again', 'are more than repeats')
     if np.any(counts['repeats'] > counts['pairs']):
         raise reader.fail('repeats', 'are more than pairs')
 
