@@ -96,9 +96,10 @@ def told_of(case: Case, outcomes: Sequence[tuple[Faults, Outcome]], sensors: Seq
             caught += np.abs(faults.size * outcome.time / case.noise[j])[mine & right].tolist()
         at = np.quantile(times, [0.5, 0.9], method='lower')
         sigma = f', at {np.median(caught):.1f} sigma' if faults.kind == 'drift' and caught else ''
-        parts.append(f'{case.plant.sensors[j]} {100 * np.mean(ours):.1f} % within {within:g} s '
-                     f'(ever {100 * np.mean(late):.1f}), p50 {at[0]:.2f} p90 {at[1]:.2f} s{sigma}'
-                     f'; peer {100 * np.mean(peer):.0f} %, wrong {100 * np.mean(peer_wrong):.0f} %')
+        parts.append(
+            f'{case.plant.sensors[j]} {100 * np.mean(ours):.1f} % within {within:g} s '
+            f'(ever {100 * np.mean(late):.1f}), p50 {at[0]:.2f} p90 {at[1]:.2f} s{sigma}; '
+            f'peer {100 * np.mean(peer):.0f} %, wrong {100 * np.mean(peer_wrong):.0f} %')
     wrong = sum(outcome.wrong for _, outcome in outcomes)
     believed = sum(outcome.believed for _, outcome in outcomes)
     count = sum(len(outcome.sensor) for _, outcome in outcomes)

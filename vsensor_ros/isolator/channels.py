@@ -20,6 +20,8 @@ MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
 ROUGH = 64  # samples of the window of roughness
 ROUGHER = 2.0  # times the healthy roughness
 ROUGHEST = 1.5  # times the roughest windows that the healthy machine showed
+# times the healthy roughness three of four bends are above, of a noisy channel; healthy: 0.4
+QUIET = 1.3
 CAP = 3.0  # times the healthy roughness is what one bend counts as at most, so spikes are few
 BLOCK = 128  # samples
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
@@ -202,5 +204,5 @@ class Channels:
         noisy = self.rough > self._roughest
         if noisy.any():  # all bends are larger then, not those at spikes only
             quiet = np.quantile(self._window[:, :, noisy], 0.25, axis=(0, 1))
-            noisy[noisy] = quiet > self.roughness[noisy]  # 0.4 times that while healthy
+            noisy[noisy] = quiet > QUIET * self.roughness[noisy]
         return noisy
