@@ -67,3 +67,5 @@ def test_a_sensor_comes_back_by_a_jump_and_stays_for_the_dwell():
     assert not any(slow.step(0.1 * k, d, True, True)
                    for k, d in enumerate(np.linspace(1.0, 0.0, 100)))
     assert not any(Recovery(dwell=2.0).step(0.1 * k, 0.0, False, False) for k in range(100))
+    hidden = Recovery(dwell=2.0)  # nobody sees it come back
+    assert not any(hidden.step(0.1 * k, None, True, True) for k in range(100))

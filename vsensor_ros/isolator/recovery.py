@@ -25,7 +25,10 @@ class Recovery:
         readings alone look healthy: they move, and are no rougher than they were. leaps: it
         deviated by a jump or a drift, so it has to come back by a jump.
         """
-        deviation = 0.0 if deviation is None else deviation
+        if deviation is None:
+            if leaps:  # nothing would show that it has come back
+                return False
+            deviation = 0.0
         self.worst = max(self.worst, abs(deviation))
         lately = self._lately
         while lately and time - lately[0][0] > AT_ONCE:
