@@ -30,6 +30,7 @@ ARROWS = {  # room: what it may import besides itself
     'designer': LEAVES | {'functions', 'plant', 'observers'},
     'control': LEAVES | {'functions', 'plant', 'observers', 'designer'},
     'bank': LEAVES | {'functions', 'observers'},
+    'isolator': LEAVES | {'observers'},
     'engine': LEAVES | {'bank', 'observers'},
     'node': LEAVES | {'engine', 'bank', 'observers'},
     'recordings': LEAVES | {'plant', 'observers', 'engine'},
@@ -240,7 +241,7 @@ def test_machine_never_loads_the_desk():
     # one after the other: what the command loads when it starts is the node
     run(sys.executable, '-c', f"""
 import importlib, sys
-for module in ('functions', 'observers', 'bank', 'engine', 'command.replacer', 'node'):
+for module in ('functions', 'observers', 'bank', 'isolator', 'engine', 'command.replacer', 'node'):
     importlib.import_module('vsensor_ros.' + module)
     loaded = {{name.split('.')[0] for name in sys.modules}} & {DESK}
     rooms = {{'vsensor_ros.' + room for room in ('plant', 'designer', 'simulate')}} & set(

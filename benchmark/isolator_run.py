@@ -1,0 +1,200 @@
+"""The isolator beside many machines at once: learning, then a fault in each, and what is said."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.isolator_peer import Peer
+from benchmark.isolator_plants import (
+    Case,
+    checks_of,
+    designed,
+    Floats,
+    Machines,
+    Observers,
+    PERIOD,
+)
+from vsensor_ros.isolator.detector import TESTS
+from vsensor_ros.isolator.diagnosis import Diagnosis
+from vsensor_ros.isolator.recovery import Recovery
+from vsensor_ros.isolator.watch import Watch
+
+WANTED = 1 / 86400.0  # false alarms a second, of one machine
+
+
+@dataclass(frozen=True)
+class Faults:
+    """One fault in each machine: which sensor, what, since when [s from now], how large."""
+
+    sensor: NDArray[np.int64]
+    kind: str  # bias, drift, noise, freeze or ''
+    start: Floats
+    size: Floats  # of a bias in units of the sensor, of a drift a second, of noise as a factor
+    end: float = np.inf
+
+    def put(self, readings: Floats, before: Floats, time: float, noise: Floats, random: Floats,
+            ) -> Floats:
+        """Return what the drivers say (m, l) instead of the readings; before: what they said."""
+        said = readings.copy()
+        rows = np.arange(len(said))
+        on = (time >= self.start) & (time < self.end)
+        here = readings[rows, self.sensor]
+        if self.kind == 'bias':
+            here = here + self.size
+        elif self.kind == 'drift':
+            here = here + self.size * (time - self.start)
+        elif self.kind == 'noise':
+            here = here + noise[self.sensor] * random * np.sqrt(self.size**2 - 1.0)
+        elif self.kind == 'freeze':
+            here = before[rows, self.sensor]
+        said[rows, self.sensor] = np.where(on, here, readings[rows, self.sensor])
+        return said
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of each machine: when and whom the isolator blamed first; NaN, -1: nobody."""
+
+    time: Floats  # s since the fault
+    sensor: NDArray[np.int64]
+    wrong: int  # machines in which ever another sensor was blamed
+    believed: int  # that would have been believed again, while the fault still was there
+    peer_sensor: NDArray[np.int64]  # whom the peer blamed first
+    peer_time: Floats  # s since the fault
+
+
+class Fleet:
+    """Machines of a case, their virtual sensors, and an isolator for each."""
+
+    def __init__(self, case: Case, count: int, error: float, seed: int) -> None:
+        self.case, self.count = case, count
+        self.sensors = case.plant.sensors
+        self.checks = checks_of(designed(case))
+        self.machines = Machines(case, count, error, seed)
+        self.observers = Observers(self.checks, self.sensors, count)
+        self.observers.start(self.machines.x)
+        r, c = len(self.checks), len(self.sensors)
+        own = np.array([self.sensors.index(s.channel) for s in self.checks])
+        reads = [{s.channel, *s.reads} for s in self.checks]
+        self.supports = [sum(1 << self.sensors.index(name) for name in names) for names in reads]
+        best = [min((i for i in range(r) if own[i] == j), default=-1, key=lambda i: len(reads[i]))
+                for j in range(c)]
+        at = np.arange(count)[:, None]
+        owns = (own + c * at).ravel()
+        supports = np.kron(np.eye(count, dtype=bool), np.array(
+            [[name in names for name in self.sensors] for names in reads]))
+        gains = np.zeros((count * r, count * c))
+        gains[np.arange(count * r), owns] = 1.0
+        noise = np.tile([s.noise.error for s in self.checks if s.noise], count)
+        self.watch = Watch(PERIOD, owns, supports, gains, noise,
+                           np.where(np.array(best) < 0, -1, best + r * at).ravel(),
+                           WANTED / (TESTS * r), 0.1)
+        self.diagnoses = [Diagnosis(self.supports) for _ in range(count)]
+        self.readings = np.zeros((self.watch.batch, count, c))
+        self.estimates = np.zeros((self.watch.batch, count, r))
+        self.ticks = 0
+        self.busy: set[int] = set()
+        self.random = np.random.default_rng(seed + 10**6)
+        self.said = np.zeros((count, c))
+
+    def copy(self) -> Fleet:
+        """Return a fleet that has learnt the same."""
+        return deepcopy(self)
+
+    def tick(self, faults: Faults | None = None, time: float = 0.0) -> bool:
+        """Go on by a period; tell whether a batch was full and judged."""
+        readings, self.commands = self.machines.step()
+        if faults is not None:
+            readings = faults.put(readings, self.said, time, self.case.noise,
+                                  self.random.standard_normal(self.count))
+        self.said = readings
+        place = self.ticks % self.watch.batch
+        self.readings[place] = readings
+        self.estimates[place] = self.observers.step(readings, self.commands)
+        self.ticks += 1
+        if self.ticks % self.watch.batch:
+            return False
+        self._judge()
+        return True
+
+    def _judge(self) -> None:
+        r, c = len(self.checks), len(self.sensors)
+        healthy = np.ones(self.count, dtype=bool)
+        healthy[list(self.busy)] = False
+        alarms = self.watch.step(self.readings.reshape(-1, self.count * c),
+                                 self.estimates.reshape(-1, self.count * r),
+                                 np.repeat(healthy, r), np.repeat(healthy, c))
+        self.alarms = alarms.reshape(self.count, r)
+        channels = self.watch.channels
+        direct = channels.stuck(self.watch.said) | channels.dropped() | channels.noisy()
+        self.direct = direct.reshape(self.count, c)
+        running = self.watch.detector.filled.reshape(self.count, r) > 16
+        now = self.ticks * PERIOD
+        for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
+            diagnosis = self.diagnoses[m]
+            diagnosis.update(now, self.alarms[m], running[m],
+                             [1 << int(j) for j in np.flatnonzero(self.direct[m])])
+            (self.busy.add if diagnosis.stands else self.busy.discard)(m)
+
+    def healthy(self, seconds: float) -> list[tuple[float, int, str]]:
+        """Run without faults; return each time that somebody was blamed or the model was."""
+        told: list[tuple[float, int, str]] = []
+        known: dict[int, str] = {}
+        for _ in range(round(seconds / PERIOD)):
+            if not self.tick():
+                continue
+            for m in self.busy | set(known):
+                d = self.diagnoses[m]
+                state = ('model' if d.model else 'isolated' if d.found else 'suspected'
+                         if d.candidates else '')
+                if state and known.get(m) != state:
+                    told.append((self.ticks * PERIOD, m, state))
+                    if state != 'suspected':  # whoever looks after it says that it is healthy
+                        self.diagnoses[m] = Diagnosis(self.supports)
+                        self.busy.discard(m)
+                        r = len(self.checks)
+                        self.watch.detector.restart(np.arange(m * r, (m + 1) * r))
+                        state = ''
+                known[m] = state
+        return told
+
+    def campaign(self, faults: Faults, seconds: float, dwell: float = 10.0) -> Outcome:
+        """Let each machine have its fault; return what was said of it, by the peer, too."""
+        time, peer_time = np.full(self.count, np.nan), np.full(self.count, np.nan)
+        first, peer_first = np.full(self.count, -1), np.full(self.count, -1)
+        wrong: set[int] = set()
+        recoveries: dict[int, Recovery] = {}
+        believed: set[int] = set()
+        peer = Peer(self.case, self.machines.x)
+        for k in range(round(seconds / PERIOD)):
+            now = k * PERIOD
+            judged = self.tick(faults, now)
+            for m, j in zip(*np.nonzero(peer.step(self.said, self.commands))):
+                if peer_first[m] < 0:
+                    peer_first[m], peer_time[m] = j, now - faults.start[m]
+            if not judged:
+                continue
+            levels = self.watch.detector.level(16)
+            noisy = self.watch.channels.noisy().reshape(self.count, -1)
+            runs = self.watch.channels.run.reshape(self.count, -1)
+            for m in self.busy:
+                d, since = self.diagnoses[m], now - faults.start[m]
+                for s in d.found:
+                    sensor = s.bit_length() - 1
+                    if first[m] < 0:
+                        first[m], time[m] = sensor, since
+                    if sensor != faults.sensor[m]:
+                        wrong.add(m)
+                j = faults.sensor[m]
+                if 1 << int(j) in d.found:
+                    best = int(self.watch.best.reshape(self.count, -1)[m, j])
+                    deviation = None if best < 0 else levels[best] - self.watch.centre(best)
+                    recovery = recoveries.setdefault(m, Recovery(dwell))
+                    if recovery.step(now, deviation, not (noisy[m, j] or runs[m, j]),
+                                     faults.kind in ('bias', 'drift')) and now < faults.end:
+                        believed.add(m)
+        return Outcome(time, first, len(wrong), len(believed), peer_first, peer_time)

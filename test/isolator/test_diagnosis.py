@@ -1,0 +1,71 @@
+"""From alarms to who is blamed."""
+
+import numpy as np
+
+from vsensor_ros.isolator.diagnosis import AT_ONCE, Diagnosis, FORGOTTEN
+from vsensor_ros.isolator.recovery import Recovery
+
+A, B, C, D = 1, 2, 4, 8
+SUPPORTS = (A | B, B | C, C | A, C | D)
+ALL = np.ones(4, dtype=bool)
+
+
+def tell(diagnosis, time, *checks, direct=()):
+    alarms = np.zeros(4, dtype=bool)
+    alarms[list(checks)] = True
+    diagnosis.update(time, alarms, ALL, direct)
+    return diagnosis
+
+
+def test_what_one_residual_checks_cannot_be_told_apart():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0)
+    assert not diagnosis.found and diagnosis.candidates == (A, B) and diagnosis.stands
+
+
+def test_the_common_sensor_is_blamed_and_its_alarms_may_end():
+    diagnosis = tell(tell(Diagnosis(SUPPORTS), 1.0, 0), 1.5, 2)
+    assert diagnosis.found == {A: 1.5} and diagnosis.candidates == ()
+    tell(diagnosis, 100.0)  # it holds
+    assert diagnosis.found == {A: 1.5}
+
+
+def test_a_second_fault_during_a_first():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 2)
+    tell(diagnosis, 20.0, 0, 2, 3)
+    assert diagnosis.found == {A: 1.0} and diagnosis.candidates == (C, D)
+    tell(diagnosis, 20.5, 0, 2, 3, direct=[D])
+    assert diagnosis.found == {A: 1.0, D: 20.5}
+
+
+def test_everything_at_once_blames_nobody_and_takes_back_what_was_said_just_before():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 2)
+    assert diagnosis.found == {A: 1.0}
+    tell(diagnosis, 1.0 + 0.5 * AT_ONCE, 0, 1, 2, 3)
+    assert diagnosis.model and not diagnosis.found and diagnosis.stands
+
+
+def test_alarms_that_blamed_nobody_are_forgotten():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0)
+    tell(diagnosis, 1.0 + 0.9 * FORGOTTEN)
+    assert diagnosis.stands
+    tell(diagnosis, 1.1 + FORGOTTEN)
+    assert not diagnosis.stands and diagnosis.candidates == ()
+
+
+def test_who_is_forgiven_takes_its_conflicts_along():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 2)
+    assert diagnosis.forgive(A, 2.0, ALL) == [0, 2]
+    assert not diagnosis.stands and not diagnosis.found
+
+
+def test_a_sensor_comes_back_by_a_jump_and_stays_for_the_dwell():
+    recovery = Recovery(dwell=2.0)
+    deviations = [1.0] * 10 + [0.3] * 30
+    told = [recovery.step(0.1 * k, d, True, True) for k, d in enumerate(deviations)]
+    assert told.index(True) == 30
+    slow = Recovery(dwell=2.0)  # as a model that errs hides a fault for a while
+    assert not any(slow.step(0.1 * k, d, True, True)
+                   for k, d in enumerate(np.linspace(1.0, 0.0, 100)))
+    assert not any(Recovery(dwell=2.0).step(0.1 * k, 0.0, False, False) for k in range(100))
+    hidden = Recovery(dwell=2.0)  # nobody sees it come back
+    assert not any(hidden.step(0.1 * k, None, True, True) for k in range(100))

@@ -1,0 +1,167 @@
+"""Each kind of fault is named right on a machine that moves; what is not a fault is not."""
+
+import numpy as np
+import pytest
+from three_sensors import Machine, NOISE, of, PERIOD, RESIDUALS
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.isolator import Isolator, Settings
+
+
+def frozen(machine):
+    last = {}
+
+    def stuck(reading, time, random):
+        return last.setdefault('is', reading)
+    return stuck
+
+
+FAULTS = {
+    'bias': lambda reading, time, random: reading + 0.2,
+    'drift': lambda reading, time, random: reading + 0.02 * time,
+    'noise': lambda reading, time, random: reading + 10 * NOISE * random.standard_normal(),
+    'drop-out': lambda reading, time, random: np.nan,
+}
+
+
+@pytest.mark.parametrize('kind', FAULTS)
+def test_a_fault_is_named_with_its_onset_and_size(machine, kind):
+    began = machine.tick * PERIOD
+    verdict = machine.run(20.0, of('b', FAULTS[kind]))
+    (fault,) = verdict.faults
+    assert (verdict.state, verdict.faulty, fault.kind) == ('isolated', ('b',), kind)
+    early = 7.0 if kind == 'noise' else 1.5  # its window of 64 samples holds the onset
+    assert began - early < fault.onset * 1e-9 < began + 1.5
+    assert began < fault.found * 1e-9 < began + 8.0
+    if kind == 'bias':
+        assert fault.size == pytest.approx(0.2, abs=0.03)
+        assert str(fault.reason(verdict.time)).startswith(
+            'b: bias, began about 19.9 s ago, now +0.')
+    elif kind == 'drift':
+        assert fault.size == pytest.approx(0.4, abs=0.04)
+        assert str(fault.reason(verdict.time)).endswith(f'now {fault.size:+.3g} rad/s')
+
+
+def test_a_stuck_sensor_is_found_by_its_repeats(machine):
+    began = machine.tick * PERIOD
+    verdict = machine.run(20.0, of('c', frozen(machine)), until=lambda v: v.faults)
+    assert verdict.faults[0].kind == 'stuck' and verdict.faulty == ('c',)
+    assert verdict.time * 1e-9 < began + 1.0
+    assert verdict.faults[0].onset * 1e-9 == pytest.approx(began, abs=0.2)
+
+
+def test_spikes_are_told_and_blame_nobody(machine):
+    told = []
+
+    def spikes(reading, time, random):
+        return reading + (3.0 if random.random() < 0.1 else 0.0)
+    machine.run(60.0, of('a', spikes), until=lambda v: told.append(v) and False)
+    assert {v.state for v in told} <= {'healthy', 'suspected'}
+    assert any('spikes' in str(reason) for v in told for reason in v.reasons)
+
+
+def test_two_that_share_a_residual_are_both_named_and_neither_blamed(machine):
+    lone = Machine(RESIDUALS[:1])
+    lone.run(360.0)
+    verdict = lone.run(5.0, of('a', FAULTS['bias']))
+    assert verdict.state == 'suspected' and verdict.faults == ()
+    assert verdict.candidates == (('a',), ('b',))
+    assert 'a or b is faulty' in str(verdict.reasons[0])
+
+
+def test_everything_at_once_is_the_model(machine):
+    def all_wrong(readings):
+        return readings + np.array([0.5, -0.5, 0.5])
+    verdict = machine.run(5.0, estimates=all_wrong)
+    assert verdict.state == 'model' and verdict.faulty == ()
+
+
+def test_nothing_is_learnt_while_something_is_wrong(machine):
+    machine.run(5.0, of('b', FAULTS['bias']), until=lambda v: v.faults)
+    machine.run(1.0)
+    detector, channels = machine.isolator.watch.detector, machine.isolator.watch.channels
+    before = detector.learnt.copy(), detector.maxima.count.copy(), channels.samples.copy()
+    machine.run(60.0, of('b', FAULTS['bias']))
+    after = detector.learnt, detector.maxima.count, channels.samples
+    assert not machine.isolator.learning
+    assert all((one == other).all() for one, other in zip(before, after))
+    machine.isolator.clear('b')
+    assert machine.run(60.0).state == 'healthy'
+    assert (detector.learnt > before[0]).all()
+
+
+def test_a_fault_holds_until_it_is_cleared_and_long_windows_do_not_remember_it(machine):
+    machine.run(30.0, of('b', FAULTS['bias']))
+    assert machine.run(60.0).faulty == ('b',)
+    machine.isolator.clear('b')
+    told = []
+    machine.run(100.0, until=lambda v: told.append(v.state) and False)
+    assert set(told) == {'healthy'}
+
+
+def test_a_sensor_that_came_back_is_believed_again_if_that_is_wanted():
+    machine = Machine(recovery='return', dwell=5.0)
+    machine.run(360.0)
+    assert machine.run(30.0, of('b', FAULTS['bias'])).faulty == ('b',)
+    assert machine.run(3.0).faulty == ('b',)
+    assert machine.run(10.0).faulty == ()
+
+
+def test_a_second_fault_during_a_first(machine):
+    machine.run(20.0, of('b', FAULTS['bias']))
+
+    def both(readings, time, random):
+        return of('c', FAULTS['drop-out'])(of('b', FAULTS['bias'])(readings, time, random),
+                                           time, random)
+    assert machine.run(10.0, both).faulty == ('b', 'c')
+
+
+def test_motion_beyond_what_was_learnt_is_allowed_for(machine):
+    def model(readings):  # estimates that err by 2 % of the motion, as they did when healthy
+        return 1.02 * readings[[1, 2, 0]]
+    machine = Machine()
+    machine.run(360.0, estimates=model)
+    told = []
+    machine.run(150.0, estimates=model, motion=3.0, until=lambda v: told.append(v.state) and False)
+    assert set(told) == {'healthy'}
+
+
+def test_what_is_not_confirmed_is_not_looked_at(machine):
+    wild = np.array([9.0, 0.0, 0.0])
+    for k in range(100):
+        verdict = machine.isolator.step((machine.tick + k) * 10**8, wild, wild[[1, 2, 0]], False)
+    assert verdict.state == 'healthy'
+    assert machine.run(5.0).state == 'healthy'
+
+
+def test_a_jump_of_time_starts_the_windows_anew(machine):
+    machine.tick += 1000
+    machine.run(0.3)
+    assert machine.isolator.watch.detector.filled.max() == 3
+    assert machine.run(60.0).state == 'healthy'
+
+
+def test_off_says_nothing():
+    machine = Machine(mode='off')
+    machine.run(10.0, of('b', FAULTS['bias']))
+    assert machine.isolator.watch.detector.learnt.sum() == 0
+
+
+def test_faults_that_are_too_small_to_be_found_are_said(machine):
+    least = machine.isolator.smallest()['b']
+    assert 0.0 < least < 0.1
+    for wanted, said in ((0.5 * least, 1), (2.0 * least, 0)):
+        machine.isolator.settings = Settings(smallest_fault={'b': wanted})
+        assert len(machine.isolator.too_small()) == said
+
+
+@pytest.mark.parametrize('settings, key', [
+    ({'mode': 'yes'}, 'mode'), ({'recovery': 'never'}, 'recovery'),
+    ({'false_alarms_per_day': 0.0}, 'false_alarms_per_day'),
+    ({'model_error': 10.0}, 'model_error'), ({'model_error': float('nan')}, 'model_error'),
+    ({'smallest_fault': {'b': -1.0}}, 'smallest_fault.b'),
+    ({'smallest_fault': {'z': 1.0}}, 'smallest_fault')])
+def test_wrong_settings_are_refused_in_one_line(settings, key):
+    with pytest.raises(BadInput) as refused:
+        Isolator(Settings(**settings), ('a', 'b', 'c'), RESIDUALS, PERIOD)
+    assert refused.value.key == key

@@ -1,0 +1,87 @@
+"""Who is blamed: from the alarms of an episode to the sensors that explain them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from vsensor_ros.isolator.conflicts import bits, least_hitting_sets
+from vsensor_ros.isolator.detector import Bools
+
+AT_ONCE = 5.0  # s within which all alarms together mean the model, and no sensor
+FORGOTTEN = 10.0  # s without an alarm, after which conflicts that blamed nobody are over
+
+
+class Diagnosis:
+    """
+    The conflicts of one machine, and what they mean. Sensors are bits.
+
+    supports: of each check. Time is in s, and only ever goes on.
+    """
+
+    def __init__(self, supports: Iterable[int]) -> None:
+        self.supports = list(supports)
+        self.conflicts: dict[int, float] = {}  # check: since when
+        self.direct: dict[int, float] = {}  # sensor whose readings alone show its fault
+        self.found: dict[int, float] = {}  # sensor: since when it is blamed
+        self.candidates: tuple[int, ...] = ()  # sets that explain all, when there are several
+        self.model = False
+        self._last = -np.inf  # alarm
+
+    @property
+    def stands(self) -> bool:
+        """Whether something is wrong: then nothing may be learnt."""
+        return bool(self.conflicts or self.direct)
+
+    def update(self, time: float, alarms: Bools, running: Bools,
+               direct: Iterable[int] = ()) -> None:
+        """Take who alarms and who runs at all (checks,), and whose readings show a fault."""
+        new = False
+        for check in np.flatnonzero(alarms):
+            new |= self.conflicts.setdefault(int(check), time) == time
+        for sensor in direct:
+            new |= self.direct.setdefault(sensor, time) == time
+        if alarms.any():
+            self._last = time
+        if new:
+            self._judge(time, running)
+        elif self.conflicts and not self.found and time - self._last > FORGOTTEN:
+            self.conflicts.clear()
+            self._judge(time, running)
+
+    def _judge(self, time: float, running: Bools) -> None:
+        masks = [*(self.supports[check] for check in self.conflicts), *self.direct]
+        sets = least_hitting_sets(masks) if masks else [0]
+        known = sum(self.found)
+        # who was found stays, as long as that is as likely as anything else
+        sets = [mask for mask in sets if mask & known == known] or sets
+        self.model = not self.direct and self._all_at_once(time, running, sets)
+        if self.model or not sets:
+            self.model = True
+            blamed = {s for s, since in self.found.items() if time - since > AT_ONCE}
+            blamed |= set(self.direct)
+            self.candidates = ()
+        else:
+            common = sets[0]
+            for mask in sets:
+                common &= mask
+            blamed = set(bits(common))
+            self.candidates = tuple(mask & ~common for mask in sets) if len(sets) > 1 else ()
+        self.found = {s: self.found.get(s, time) for s in sorted(blamed)}
+
+    def _all_at_once(self, time: float, running: Bools, sets: list[int]) -> bool:
+        """Tell whether all checks that run were broken together, by no single sensor."""
+        if not sets or sets[0].bit_count() < 2:
+            return False
+        broken = [check in self.conflicts for check in np.flatnonzero(running)]
+        return all(broken) and time - min(self.conflicts.values()) <= AT_ONCE
+
+    def forgive(self, sensor: int, time: float, running: Bools) -> list[int]:
+        """Believe a sensor again; return the checks whose conflicts it has taken along."""
+        gone = [check for check in self.conflicts if self.supports[check] & sensor]
+        for check in gone:
+            del self.conflicts[check]
+        self.direct.pop(sensor, None)
+        self._judge(time, running)
+        return gone

@@ -1,0 +1,144 @@
+"""
+What was learnt of the healthy machine, in a file of its own.
+
+JSON text. It is bound to the design by a hash that the caller gives, and checked when it is
+loaded: nothing in it is trusted, and nothing is loaded when something is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.isolator.block_maxima import BlockMaxima, ROOM
+from vsensor_ros.isolator.detector import TESTS
+from vsensor_ros.isolator.isolator import Isolator
+from vsensor_ros.observers.checked_json import CheckedObject, read_json
+from vsensor_ros.whole_file import write_whole
+
+FORMAT = 'vsensor_ros isolation record'
+VERSION = 1
+MEND = 'remove the file; the isolator then learns anew'
+MOST = 2**53  # samples, of any count
+COUNTS = ('repeats', 'again', 'pairs', 'longest', 'longest_gap', 'samples')  # of channels
+SIZES = ('travel', 'roughness', 'usual_spike')  # of channels
+
+
+def save(isolator: Isolator, path: str | Path, design: str) -> None:
+    """Write what was learnt, whole or not at all; design: its hash. Raises BadInput."""
+    detector, channels = isolator.watch.detector, isolator.watch.channels
+    record = {
+        'format': FORMAT, 'version': VERSION, 'design': design, 'period': isolator.period,
+        'residuals': [r.name for r in isolator.residuals], 'sensors': list(isolator.sensors),
+        'learnt': detector.learnt.tolist(), 'maxima': _written(detector.maxima),
+        'motion': _written(channels.motion),
+        **{key: getattr(channels, key).tolist() for key in (*COUNTS, *SIZES)}}
+    try:
+        write_whole(path, json.dumps(record, allow_nan=False) + '\n')
+    except (OSError, ValueError) as error:
+        raise BadInput(path, 'isolation record', f'cannot be written ({reason(error)})',
+                       'name a file in a folder that exists and is writable') from error
+
+
+def load(isolator: Isolator, path: str | Path, design: str) -> None:
+    """
+    Let an isolator go on from what was learnt; design: the hash of the design it runs.
+
+    Raises BadInput, one line, when the file is missing, malformed, or of another design; the
+    isolator is as it was then.
+    """
+    try:
+        apply = _read(isolator, path, design)
+    except BadInput as error:
+        raise BadInput(path, error.key, error.problem, MEND) from None
+    apply()
+
+
+def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], None]:
+    """Check all of a file; return what puts it into the isolator."""
+    record = read_json(path)
+    if not isinstance(record, dict):
+        raise BadInput(path, '', 'is not an object', MEND)
+    reader = CheckedObject(path, '', record)
+    reader.word('format', (FORMAT,))
+    if reader.whole('version') != VERSION:
+        raise reader.fail('version', f'is not {VERSION}')
+    if reader.text('design') != design:
+        raise reader.fail('design', 'is another design than the one that runs')
+    if reader.positive('period') != isolator.period:
+        raise reader.fail('period', f'is not {isolator.period:g} s')
+    for key, names in (('residuals', [r.name for r in isolator.residuals]),
+                       ('sensors', list(isolator.sensors))):
+        if list(reader.texts(key)) != names:
+            raise reader.fail(key, 'are not those of the design')
+    reader.only(('format', 'version', 'design', 'period', 'residuals', 'sensors', 'learnt',
+                 'maxima', 'motion', *COUNTS, *SIZES))
+    r, c = len(isolator.residuals), len(isolator.sensors)
+    detector, channels = isolator.watch.detector, isolator.watch.channels
+    learnt = _counts(reader, 'learnt', r)
+    maxima = _maxima(reader.object('maxima'), TESTS, r)
+    motion = _maxima(reader.object('motion'), 3, c)
+    counts = {key: _counts(reader, key, c) for key in COUNTS}
+    sizes = {key: _sizes(reader, key, c) for key in SIZES}
+    if np.any(counts['again'] > counts['repeats']):
+        raise reader.fail('again', 'are more than repeats')
+    if np.any(counts['repeats'] > counts['pairs']):
+        raise reader.fail('repeats', 'are more than pairs')
+
+    def apply() -> None:
+        detector.learnt, detector.maxima, channels.motion = learnt, maxima, motion
+        for key, values in (*counts.items(), *sizes.items()):
+            setattr(channels, key, values)
+        detector.refresh()
+        channels.refresh()
+    return apply
+
+
+def _written(maxima: BlockMaxima) -> dict[str, Any]:
+    """Return a store as lists by row and column; blocks that are not full yet are left out."""
+    rows, columns = maxima.count.shape
+    return {
+        'blocks': [[[float(f'{value:.6g}') for value in
+                     maxima.maxima[:maxima.count[i, j], i, j].tolist()]
+                    for j in range(columns)] for i in range(rows)],
+        'merged': maxima.merged.tolist()}
+
+
+def _maxima(reader: CheckedObject, rows: int, columns: int) -> BlockMaxima:
+    reader.only(('blocks', 'merged'))
+    merged = reader.array('merged', rows, columns)
+    if np.any((merged < 1) | (merged > MOST) | (np.log2(np.maximum(merged, 1)) % 1 != 0)):
+        raise reader.fail('merged', 'are not powers of two')
+    blocks = reader.get('blocks', list, 'a list of lists')
+    if len(blocks) != rows or not all(isinstance(row, list) and len(row) == columns
+                                      for row in blocks):
+        raise reader.fail('blocks', f'is not {rows} x {columns} lists')
+    store = BlockMaxima(rows, columns)
+    store.merged[:] = merged
+    for i, row in enumerate(blocks):
+        for j, cell in enumerate(row):
+            if not isinstance(cell, list) or len(cell) >= ROOM:
+                raise reader.fail(f'blocks[{i}][{j}]', f'is not less than {ROOM} numbers')
+            values = CheckedObject(reader.path, reader.place, {f'blocks[{i}][{j}]': cell})
+            store.maxima[:len(cell), i, j] = values.array(f'blocks[{i}][{j}]', len(cell))
+            store.count[i, j] = len(cell)
+    return store
+
+
+def _counts(reader: CheckedObject, key: str, length: int) -> np.ndarray:
+    values = reader.array(key, length)
+    if np.any((values < 0) | (values > MOST) | (values % 1 != 0)):
+        raise reader.fail(key, 'are not counts')
+    return values.astype(np.int64)
+
+
+def _sizes(reader: CheckedObject, key: str, length: int) -> np.ndarray:
+    values = reader.array(key, length)
+    if np.any(values < 0.0):
+        raise reader.fail(key, 'must not be negative')
+    return values

@@ -1,0 +1,110 @@
+"""All that is looked at in a sample: the residuals of the checks, and the channels themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vsensor_ros.isolator.block_maxima import Floats
+from vsensor_ros.isolator.channels import Channels
+from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, WINDOWS
+
+PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
+WILD = 1e6  # times the designed noise is what a residual counts as at most
+SHORTEST = 16  # samples of a check that counts
+LASTING = 2  # the window against whose thresholds a median is held
+FAST = 0.02  # s; up to this period four samples are taken at a time
+
+Ints = NDArray[np.int64]
+
+
+def batch_of(period: float) -> int:
+    """Return how many samples are looked at together: a delay of 60 ms at most."""
+    return 4 if period <= FAST else 1
+
+
+class Watch:
+    """
+    Detector and channels side by side, of one machine or of many.
+
+    own (n,): the channel of each check's virtual sensor, -1: its output is a residual itself.
+    supports (n, c): who may be at fault. gains (n, c): what a check shows of a constant fault of
+    each channel. noise (n,): standard deviation of its residual, as designed. best (c,): the check
+    that shows a channel, -1: none. wraps (n,): what a residual counts modulo, inf: nothing.
+    """
+
+    def __init__(self, period: float, own: Ints, supports: Bools, gains: Floats, noise: Floats,
+                 best: Ints, false_alarms: float, model_error: float,
+                 wraps: Floats | None = None) -> None:
+        self.batch = batch_of(period)
+        self.own, self.best, self.model_error = own, best, model_error
+        self.supports = supports
+        self.gains = np.abs(gains)
+        # of most checks one gain only counts, that of the own channel
+        alone = (self.gains > 0.0).sum(axis=1) <= 1
+        self._single = self.gains.argmax(axis=1) if alone.all() else None
+        self.gain = self.gains.max(axis=1, initial=0.0)
+        self.detector = Detector(period, self.batch, false_alarms, PRIOR * noise, WILD * noise)
+        self.channels = Channels(period, self.batch, len(best))
+        self._seen = best >= 0
+        self._told = None if (own >= 0).all() else own >= 0
+        self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
+
+    def step(self, readings: Floats, estimates: Floats, learn: Bools | bool,
+             learn_channels: Bools | bool) -> Bools:
+        """
+        Take a batch of readings (batch, c) and of estimates (batch, n); return who alarms (n,).
+
+        learn, () or (n,), and learn_channels, () or (c,): who counts as healthy.
+        """
+        if self._told is None:
+            residuals = readings[:, self.own] - estimates
+        else:
+            residuals = np.where(self._told, readings[:, self.own], 0.0) - estimates
+        if self._wraps is not None:
+            residuals -= np.where(np.isfinite(self._wraps), self._wraps, 0.0) * np.round(
+                residuals / self._wraps)
+        shown = np.where(self._seen, residuals[:, self.best], np.nan)
+        said = np.where(self._seen, estimates[:, self.best], np.nan)
+        self.channels.step(readings, shown, said, learn_channels)
+        self.said = said[-1]
+        alarms = self.detector.step(residuals, learn, self._widened())
+        spiking = self.channels.spiking()
+        if spiking.any() and alarms.any():  # what spikes leave behind is nobody's fault
+            for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):
+                alarms[i] = self._lasts(int(i))
+        return alarms
+
+    def _lasts(self, check: int) -> bool:
+        """Tell whether a check would alarm by its median, which spikes do not move."""
+        past = self.detector.past(check, 2 * WINDOWS[LASTING])
+        above, below = self.detector.thresholds[[LASTING, len(WINDOWS) + LASTING], check]
+        return len(past) > 0 and not -below <= float(np.median(past)) <= above
+
+    def _widened(self) -> Floats:
+        """Return by how much motion beyond what was learnt moves the thresholds (n,)."""
+        channels, detector = self.channels, self.detector
+        motion = channels.beyond
+        if self._single is not None:
+            widened = motion[self._single] * self.gain
+        else:
+            widened = self.gains @ motion
+        fresh = detector.learnt * detector.period < ENOUGH
+        if fresh.any():
+            span = np.nan_to_num(channels.range[1] - channels.range[0])
+            widened = widened + fresh * (self.gains @ span)
+        return self.model_error * widened
+
+    def running(self) -> Bools:
+        """Tell which checks have been fed for a while (n,)."""
+        return self.detector.filled > SHORTEST
+
+    def restart(self) -> None:
+        """Forget all samples, not what was learnt."""
+        self.detector.restart(np.arange(len(self.own)))
+        self.channels.restart()
+
+    def centre(self, column: int) -> float:
+        """Return the mean of a healthy residual."""
+        above, below = self.detector.thresholds[[len(WINDOWS) - 1, 2 * len(WINDOWS) - 1], column]
+        return float(above - below) / 2
