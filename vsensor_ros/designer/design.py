@@ -90,8 +90,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     fault it is, see ``Design.isolability``. ``progress`` is told what is done, of how many, and
     what is next. ``executor``: who does the work, with the same result (`designer/sweep.py`).
     ``work_file``: answers are kept there as they come, and those that it holds are not sought
-    again. Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some channels
-    met an error or a worker that died. Source: method, section 3.
+    again. Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some
+    channels met an error or a worker that died. Source: method, section 3.
     """
     choices = Choices(prefer, decay, bounded, method, temporary, extended, spread)
     _check(plant, prefer, decay, method, spread, {
