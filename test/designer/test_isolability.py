@@ -85,6 +85,7 @@ def test_the_temperature_lab_can_never_tell_its_sensors_apart(designed):
     assert found.gaps == ('T1 and T2 cannot be told apart: one residual checks both',)
 
 
+@pytest.mark.slow
 def test_the_discrete_tank_tells_all_even_what_it_cannot_replace(designed):
     plant = load('three_tank_discrete')
     result = designed(plant, isolate=True)
