@@ -159,9 +159,9 @@ def test_beside_another_kind_it_says_what_it_says_alone(tmp_path):
 
     def heard(made, sensor):
         bank, said = Bank(made, RATE), []
-        for k in range(400):
+        for k in range(260):
             now = k * PERIOD * MS
-            if k == 250:
+            if k == 180:
                 bank.distrust((sensor,), now)
             for name, value in (('encoder', 0.5 * np.cos(3.7 * now * 1e-9)),
                                 ('tacho', -1.85 * np.sin(3.7 * now * 1e-9)), ('torque', 0.0)):
