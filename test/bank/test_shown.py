@@ -193,18 +193,19 @@ def test_what_wraps_has_no_curve_but_an_offset(tmp_path):
 def test_a_curve_beside_a_second_state_becomes_a_state_itself(tmp_path):
     """Of soc' = -I/3600 with 3 + sqrt(soc) - u1 - 0.01 I to be seen, as the docs say to write."""
     found = design(loaded(tmp_path, RELAXING), [('gauge',)])
-    bank = Bank(found, RATE)
+    rate = 20.0
+    bank = Bank(found, rate)
     soc, u1, worst = 0.81, 0.0, 0.0
-    for k in range(int(60 * RATE)):
-        stamp, current = round(k / RATE * 1e9), 15.0 if k > 10 * RATE else 2.0
+    for k in range(int(60 * rate)):
+        stamp, current = round(k / rate * 1e9), 15.0 if k > 10 * rate else 2.0
         for name, value in (('current', current), ('gauge', 100 * soc),
                             ('voltage', 3 + np.sqrt(soc) - u1 - 0.01 * current)):
             bank.take(name, stamp, value)
         bank.advance(stamp)
-        if k == int(30 * RATE):
+        if k == int(30 * rate):
             bank.distrust(['gauge'])
-        if k > 40 * RATE:
+        if k > 40 * rate:
             worst = max(worst, abs(bank.estimate(('gauge',), 'gauge') - 100 * soc))
-        soc -= current / 3600 / RATE
-        u1 = 0.01 * current + (u1 - 0.01 * current) * np.exp(-0.2 / RATE)
+        soc -= current / 3600 / rate
+        u1 = 0.01 * current + (u1 - 0.01 * current) * np.exp(-0.2 / rate)
     assert soc < 0.65 and worst < 0.1

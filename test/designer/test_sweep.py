@@ -297,7 +297,8 @@ def other_plant(chain):
     ((b'{"lost": null', b'\xff'), 'line 2: is not UTF-8'),
     ((b'{"lost": null', b'[1]\n{"lost": null'), 'line 2: is not an object'),
 ])
-def test_a_work_file_that_does_not_fit_is_refused_in_one_line(chain, begun, tmp_path, change, line):
+def test_a_work_file_that_does_not_fit_is_refused_in_one_line(chain, begun, tmp_path, change,
+                                                              line):
     work, text = tmp_path / 'work', begun
     if change:
         assert change[0] in text
