@@ -146,12 +146,12 @@ LATE_SAMPLED = LATE.replace('continuous', '{sample_time: 0.02}').replace(
 @pytest.mark.parametrize(('text', 'lost', 'error'), [
     (LATE, 'first', 5e-3), (LATE, 'second', 0.03),
     (LATE_SAMPLED, 'first', 1e-9), (LATE_SAMPLED, 'second', 1e-9)])
-def test_dead_times_are_held_in_the_bank(tmp_path, text, lost, error):
+def test_dead_times_are_held_in_the_bank(tmp_path, designed, text, lost, error):
     plant = loaded(tmp_path, text)
     sampled = plant.sample_time is not None
     assert plant.delays() == pytest.approx(
         {'u': 0.2} if sampled else {'u': 0.2, 'first': 0.1})
-    found = design(plant)
+    found = designed(plant)
     assert set(found[lost, lost].reads) == {'first', 'second'} - {lost}
     found.save(tmp_path / 'd.json')
     t = np.arange(800) / RATE
@@ -160,7 +160,7 @@ def test_dead_times_are_held_in_the_bank(tmp_path, text, lost, error):
     assert np.ptp(truth) > 0.5
     assert np.abs(said - truth).max() < error
     # without the dead times in the design it is far off
-    blind = design(loaded(tmp_path, text.replace('delay: 0.2', '').replace(
+    blind = designed(loaded(tmp_path, text.replace('delay: 0.2', '').replace(
         ', delay: 0.06', '').replace(', stamp_offset: 0.04', '')))
     assert np.abs(played(plant, blind, t, u, lost, 500)[1] - truth).max() > 0.02
 
