@@ -146,12 +146,12 @@ LATE_SAMPLED = LATE.replace('continuous', '{sample_time: 0.02}').replace(
 @pytest.mark.parametrize(('text', 'lost', 'error'), [
     (LATE, 'first', 5e-3), (LATE, 'second', 0.03),
     (LATE_SAMPLED, 'first', 1e-9), (LATE_SAMPLED, 'second', 1e-9)])
-def test_dead_times_are_held_in_the_bank(tmp_path, text, lost, error):
+def test_dead_times_are_held_in_the_bank(tmp_path, designed, text, lost, error):
     plant = loaded(tmp_path, text)
     sampled = plant.sample_time is not None
     assert plant.delays() == pytest.approx(
         {'u': 0.2} if sampled else {'u': 0.2, 'first': 0.1})
-    found = design(plant)
+    found = designed(plant)
     assert set(found[lost, lost].reads) == {'first', 'second'} - {lost}
     found.save(tmp_path / 'd.json')
     t = np.arange(800) / RATE
@@ -160,7 +160,7 @@ def test_dead_times_are_held_in_the_bank(tmp_path, text, lost, error):
     assert np.ptp(truth) > 0.5
     assert np.abs(said - truth).max() < error
     # without the dead times in the design it is far off
-    blind = design(loaded(tmp_path, text.replace('delay: 0.2', '').replace(
+    blind = designed(loaded(tmp_path, text.replace('delay: 0.2', '').replace(
         ', delay: 0.06', '').replace(', stamp_offset: 0.04', '')))
     assert np.abs(played(plant, blind, t, u, lost, 500)[1] - truth).max() > 0.02
 
@@ -193,18 +193,19 @@ def test_what_wraps_has_no_curve_but_an_offset(tmp_path):
 def test_a_curve_beside_a_second_state_becomes_a_state_itself(tmp_path):
     """Of soc' = -I/3600 with 3 + sqrt(soc) - u1 - 0.01 I to be seen, as the docs say to write."""
     found = design(loaded(tmp_path, RELAXING), [('gauge',)])
-    bank = Bank(found, RATE)
+    rate = 20.0
+    bank = Bank(found, rate)
     soc, u1, worst = 0.81, 0.0, 0.0
-    for k in range(int(60 * RATE)):
-        stamp, current = round(k / RATE * 1e9), 15.0 if k > 10 * RATE else 2.0
+    for k in range(int(60 * rate)):
+        stamp, current = round(k / rate * 1e9), 15.0 if k > 10 * rate else 2.0
         for name, value in (('current', current), ('gauge', 100 * soc),
                             ('voltage', 3 + np.sqrt(soc) - u1 - 0.01 * current)):
             bank.take(name, stamp, value)
         bank.advance(stamp)
-        if k == int(30 * RATE):
+        if k == int(30 * rate):
             bank.distrust(['gauge'])
-        if k > 40 * RATE:
+        if k > 40 * rate:
             worst = max(worst, abs(bank.estimate(('gauge',), 'gauge') - 100 * soc))
-        soc -= current / 3600 / RATE
-        u1 = 0.01 * current + (u1 - 0.01 * current) * np.exp(-0.2 / RATE)
+        soc -= current / 3600 / rate
+        u1 = 0.01 * current + (u1 - 0.01 * current) * np.exp(-0.2 / rate)
     assert soc < 0.65 and worst < 0.1

@@ -25,7 +25,7 @@ CONFIG = Path(__file__).parents[2] / 'config'
 SERVO = CONFIG / 'servo' / 'plant.yaml'
 
 
-LONG = {'base', 'three_tank_discrete', 'two_link'}  # plants whose design takes long
+LONG = {'base', 'three_tank', 'three_tank_discrete', 'two_link'}  # plants whose design takes long
 
 
 @pytest.mark.parametrize('plant', [

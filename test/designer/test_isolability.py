@@ -85,6 +85,7 @@ def test_the_temperature_lab_can_never_tell_its_sensors_apart(designed):
     assert found.gaps == ('T1 and T2 cannot be told apart: one residual checks both',)
 
 
+@pytest.mark.slow
 def test_the_discrete_tank_tells_all_even_what_it_cannot_replace(designed):
     plant = load('three_tank_discrete')
     result = designed(plant, isolate=True)
@@ -278,7 +279,7 @@ def test_a_filter_does_what_no_pair_can_and_a_bank_runs_it(bench, designed):
     assert without.by_residuals('angle', ['load']) == NONE
     r, = (r for r in found.residuals if r.channel in found.filters)
     assert r.fault_set == ('load',) and r.support == ('motor', 'angle', 'current')
-    t = np.arange(10 * rate + 1) / rate
+    t = np.arange(7 * rate + 1) / rate
     u, rho = np.sin(t)[:, None], np.cos(3 * t)[:, None]
     said = dict(zip(DRIVE.sensors, readings(DRIVE, t, simulate(DRIVE, t, u, rho), u, rho).T))
 
@@ -291,9 +292,9 @@ def test_a_filter_does_what_no_pair_can_and_a_bank_runs_it(bench, designed):
     assert np.array_equal(heard(load=5.0), quiet)
     for sensor, gain in zip(r.support, r.gains):
         assert heard(**{sensor: 2.0})[-1] - quiet[-1] == pytest.approx(2 * gain, abs=1e-3)
-    jump = 2.0 * (t > 5.0)  # of the angle, which fades
+    jump = 2.0 * (t > 2.0)  # of the angle, which fades
     moved = np.abs(heard(angle=jump) - quiet)
-    assert moved[5 * rate:6 * rate].max() > 5.0 and moved[-1] < 1e-3 and not gain_of(r, 'angle')
+    assert moved[2 * rate:3 * rate].max() > 5.0 and moved[-1] < 1e-3 and not gain_of(r, 'angle')
 
 
 @pytest.mark.slow

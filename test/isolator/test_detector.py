@@ -68,7 +68,7 @@ def test_nan_starts_the_windows_anew_and_wild_numbers_do_not_stay():
 
 def test_thresholds_are_the_prior_until_enough_was_learnt_of_a_healthy_machine():
     random = np.random.default_rng(3)
-    running, ignoring = detector(n=1, prior=50.0), detector(n=1, prior=50.0)
+    running, ignoring = detector(n=1, prior=50.0), detector(16, n=1, prior=50.0)
     samples = random.standard_normal((round(ENOUGH / PERIOD) + 4096, 1))
     feed(running, samples[:2000])
     running.refresh()
@@ -85,19 +85,19 @@ def test_thresholds_are_the_prior_until_enough_was_learnt_of_a_healthy_machine()
 
 def test_alarms_are_as_seldom_as_was_asked_for():
     random = np.random.default_rng(4)
-    n = 200
+    n, batch = 200, 16
     wanted = 1 / 3600.0  # one an hour of each column
-    running = Detector(PERIOD, 4, wanted / 24, np.full(n, 50.0), np.full(n, 1e6))
-    draw = partial(random.standard_normal, (4, n))
-    for _ in range(round(ENOUGH / PERIOD / 4) + 1000):
+    running = Detector(PERIOD, batch, wanted / 24, np.full(n, 50.0), np.full(n, 1e6))
+    draw = partial(random.standard_normal, (batch, n))
+    for _ in range(round(ENOUGH / PERIOD / batch) + 250):
         running.step(draw(), True)
     running.refresh()
     was, alarms = np.zeros(n, dtype=bool), 0
-    for _ in range(1000):
+    for _ in range(250):
         now = running.step(draw(), False)
         alarms += int((now & ~was).sum())
         was = now
-    hours = n * 1000 * 4 * PERIOD / 3600
+    hours = n * 250 * batch * PERIOD / 3600
     assert alarms <= 2 * hours  # 2.2 hours, so about 2
 
 

@@ -14,7 +14,7 @@ def test_residuals_of_a_right_model_are_as_noisy_as_designed_and_no_more(case):
     observers.start(machines.x)
     own = [sensors.index(s.channel) for s in checks]
     residuals = []
-    for _ in range(600):
+    for _ in range(300):
         readings, commands = machines.step()
         residuals.append(readings[:, own] - observers.step(readings, commands))
     spread = np.std(residuals[100:], axis=(0, 1)) / case.noise[own]

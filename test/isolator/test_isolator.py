@@ -60,7 +60,7 @@ def test_spikes_are_told_and_blame_nobody(machine):
     assert any('spikes' in str(reason) for v in told for reason in v.reasons)
 
 
-def test_two_that_share_a_residual_are_both_named_and_neither_blamed(machine):
+def test_two_that_share_a_residual_are_both_named_and_neither_blamed():
     lone = Machine(RESIDUALS[:1])
     lone.run(360.0)
     verdict = lone.run(5.0, of('a', FAULTS['bias']))
@@ -99,9 +99,8 @@ def test_a_fault_holds_until_it_is_cleared_and_long_windows_do_not_remember_it(m
     assert set(told) == {'healthy'}
 
 
-def test_a_sensor_that_came_back_is_believed_again_if_that_is_wanted():
-    machine = Machine(recovery='return', dwell=5.0)
-    machine.run(360.0)
+def test_a_sensor_that_came_back_is_believed_again_if_that_is_wanted(machine):
+    machine.isolator.settings = Settings(recovery='return', dwell=5.0)
     assert machine.run(30.0, of('b', FAULTS['bias'])).faulty == ('b',)
     assert machine.run(3.0).faulty == ('b',)
     assert machine.run(10.0).faulty == ()
@@ -116,7 +115,7 @@ def test_a_second_fault_during_a_first(machine):
     assert machine.run(10.0, both).faulty == ('b', 'c')
 
 
-def test_motion_beyond_what_was_learnt_is_allowed_for(machine):
+def test_motion_beyond_what_was_learnt_is_allowed_for():
     def model(readings):  # estimates that err by 2 % of the motion, as they did when healthy
         return 1.02 * readings[[1, 2, 0]]
     machine = Machine()
