@@ -170,7 +170,7 @@ def stop(states: deque[State] | list[State], stay: np.ndarray,
         if there is not None:
             if id(told.there) not in read:
                 read[id(told.there)] = told.there & there
-            told = Told(told.y, read[id(told.there)], told.held)
+            told = told._replace(there=read[id(told.there)])
         states[at] = State(tick, z, running[id(runs)], since, restarts, outside, told, spread)
 
 

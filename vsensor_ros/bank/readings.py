@@ -83,6 +83,11 @@ class Samples:
             return (1.0 - part) * value + part * after
         return value if age <= max_age else None
 
+    def age(self, time: int) -> int:
+        """Return how long before a time [ns] the last sample up to then is; 0: there is none."""
+        i = bisect_right(self.stamps, time)
+        return time - self.stamps[i - 1] if i else 0
+
     def before(self, time: int) -> int:
         """Return the last stamp before a time [ns], or that time where there is none."""
         i = bisect_left(self.stamps, time)
