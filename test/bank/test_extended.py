@@ -175,6 +175,10 @@ def test_beside_another_kind_it_says_what_it_says_alone(tmp_path):
         np.testing.assert_allclose(heard(both, sensor), heard(alone, sensor), rtol=1e-9)
 
 
+def swing(x, u):
+    return np.array([x[1], -9.81 * np.sin(x[0]) / 0.7 - 0.2 * x[1] + 2 * u])
+
+
 @pytest.mark.parametrize('pause', [5, 30])
 def test_a_healthy_sensor_that_pauses(tmp_path, pause):
     """The tacho says nothing for a while, less than max_age: the filter goes on without it."""
@@ -196,9 +200,7 @@ def test_a_healthy_sensor_that_pauses(tmp_path, pause):
                          bank.deviation(('encoder',), 'encoder'),
                          bank.ready(('encoder',), 'encoder')))
         for _ in range(20):
-            half = x + [x[1] / 4000, (-9.81 * np.sin(x[0]) / 0.7 - 0.2 * x[1] + 2 * u) / 4000]
-            x = x + [half[1] / 2000,
-                     (-9.81 * np.sin(half[0]) / 0.7 - 0.2 * half[1] + 2 * u) / 2000]
+            x = x + swing(x + swing(x, u) / 4000, u) / 2000
     error, deviation, ready = np.array(said).T
     assert ready.all() and (np.abs(error) <= 3 * deviation).all()
     assert np.abs(error).max() < 0.1

@@ -19,7 +19,7 @@ from vsensor_ros.bank.inputs import Inputs, LARGEST
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
-from vsensor_ros.observers import Batch, Told
+from vsensor_ros.observers import Batch
 
 GUARD = 0.5  # s, by default
 LONGEST_GUARD = 10.0  # s
