@@ -19,7 +19,7 @@ class Told(NamedTuple):
     y: np.ndarray  # (L,) readings, 0 where there is none
     there: np.ndarray  # (L + m,) bool: which readings and commands there are
     held: np.ndarray  # (m,) commands that hold from then on; (0,) when nobody asks for them
-    # (L,) s since the last reading, after which y is a line or a guess; (0,) when nobody asks
+    # (L,) s, how far from readings y is, see Samples.age; (0,) when nobody asks
     ages: np.ndarray = np.zeros(0)
 
 
