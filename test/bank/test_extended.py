@@ -173,3 +173,34 @@ def test_beside_another_kind_it_says_what_it_says_alone(tmp_path):
         alone = replace(both, entries={
             key: entry for key, entry in both.entries.items() if key[1] == sensor})
         np.testing.assert_allclose(heard(both, sensor), heard(alone, sensor), rtol=1e-9)
+
+
+def swing(x, u):
+    return np.array([x[1], -9.81 * np.sin(x[0]) / 0.7 - 0.2 * x[1] + 2 * u])
+
+
+@pytest.mark.parametrize('pause', [5, 30])
+def test_a_healthy_sensor_that_pauses(tmp_path, pause):
+    """The tacho says nothing for a while, less than max_age: the filter goes on without it."""
+    path = tmp_path / 'plant.yaml'
+    path.write_text(PENDULUM, encoding='utf-8')
+    bank, said, x = Bank(design(load_plant(path)), RATE), [], np.array([0.3, 0.0])
+    for k in range(500):
+        now = k * PERIOD * MS
+        if k == 250:
+            bank.distrust(('encoder',), now)
+        u = 3.0 * np.sin(3.8 * k / RATE)
+        bank.take('encoder', now, x[0])
+        if not 300 <= k < 300 + pause:
+            bank.take('tacho', now, x[1])
+        bank.take('torque', now, u)
+        bank.advance(now)
+        if k >= 250:
+            said.append((bank.estimate(('encoder',), 'encoder') - x[0],
+                         bank.deviation(('encoder',), 'encoder'),
+                         bank.ready(('encoder',), 'encoder')))
+        for _ in range(20):
+            x = x + swing(x + swing(x, u) / 4000, u) / 2000
+    error, deviation, ready = np.array(said).T
+    assert ready.all() and (np.abs(error) <= 3 * deviation).all()
+    assert np.abs(error).max() < 0.1

@@ -88,3 +88,17 @@ def test_an_estimate_that_read_what_has_failed_since_is_not_carried_on(bench):
     assert m.sent[-1].fields[0][1].value == pytest.approx(1.3, abs=1e-3)  # no jump
     step(9.0, 9.0, 1.0, periods=10)
     assert m.sent[-1].fields[0][1].value == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_may_be_the_fault_is_told_apart(bench):
+    """Nothing was measured yet: all of the offset is in doubt, while it is there."""
+    m = Machine(bench, noise=ASSUMED, time_constant=0.5)
+    m.step(1.0, 2.2, periods=20)
+    m.isolate('y2')
+    value = m.sent[-1].fields[0][1]
+    assert value.doubtful == pytest.approx(value.offset) == pytest.approx(0.2)
+    m.step(1.0, 2.2, periods=5)
+    half = m.sent[-1].fields[0][1]
+    assert 0.02 < half.doubtful < 0.1
+    m.step(1.0, 2.2, periods=6)
+    assert m.sent[-1].fields[0][1].doubtful == 0.0

@@ -164,3 +164,13 @@ def test_wrong_settings_are_refused_in_one_line(settings, key):
     with pytest.raises(BadInput) as refused:
         Isolator(Settings(**settings), ('a', 'b', 'c'), RESIDUALS, PERIOD)
     assert refused.value.key == key
+
+
+@pytest.mark.parametrize('wild', [np.inf, -np.inf, 1e308])
+def test_numbers_beyond_use_are_no_readings(machine, wild):
+    """Once they are nothing; for good the sensor has dropped out."""
+    with np.errstate(all='raise'):
+        once = machine.run(20.0, of('a', lambda reading, s, random: wild if s == 1.0 else reading))
+        assert once.state == 'healthy'
+        for_good = machine.run(20.0, of('a', lambda reading, s, random: wild))
+    assert [(f.sensor, f.kind) for f in for_good.faults] == [('a', 'drop-out')]

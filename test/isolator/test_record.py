@@ -57,6 +57,8 @@ def forged(path, change):
     ('pairs', lambda r: r.pop('pairs')),
     ('repeats', lambda r: r.update(repeats=[10**9] * 3)),
     ('roughness', lambda r: r.update(roughness=[-1.0, 1.0, 1.0])),
+    ('usual_spike', lambda r: r.update(usual_spike=[1e300] * 3)),
+    ('blocks[2][1]', lambda r: r['motion']['blocks'][2].__setitem__(1, [-1e308] * 9)),
     ('extra', lambda r: r.update(extra=1)),
     ('merged', lambda r: r['maxima']['merged'][0].__setitem__(0, 3)),
     ('blocks', lambda r: r['maxima']['blocks'].pop()),

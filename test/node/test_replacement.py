@@ -9,6 +9,7 @@ from std_msgs.msg import Float64
 
 from vsensor_ros.node.accessor import get_stamp
 from vsensor_ros.node.cdr import decode
+from vsensor_ros.observers import Noise
 
 RANGE = 'sensor_msgs/msg/Range'
 PERIOD = 10_000_000  # ns, of the bank and of the sensors
@@ -199,3 +200,24 @@ def test_a_driver_that_sends_nothing_but_nan_is_silent(rig, parameters):
     assert told.source == 'silent' and told.reason == 'nothing but NaN arrives on /y2_raw'
     r.step(*r.healthy())
     assert r.told()['y2'].source == 'real'
+
+
+def test_the_variance_counts_an_offset_that_may_be_the_fault(rig, bench, tmp_path):
+    """Nothing was measured yet, so that all of the last reading's 0.3 may be the fault."""
+    path = tmp_path / 'twice.json'
+    bench.design(bench.virtual_sensor([], [], Q=[[2.0]], fault_set=('y2',), healthy=('y1',),
+                                      noise=Noise(0.1, 0.1, True)), names=('y1', 'y2')).save(path)
+    given = {'design_file': str(path), 'rate': 100.0, 'time_constant': 0.5}
+    for name in ('y1', 'y2'):
+        given.update({f'sensors.{name}.topic': f'/{name}', f'sensors.{name}.field': 'range',
+                      f'sensors.{name}.type': RANGE, f'sensors.{name}.max_deviation': 0.0})
+    r = rig(given)
+    heard = r.listen(RANGE, '/y2')
+    both = r.healthy(y1=0.5, y2=1.3)[:2]
+    r.step(*both, periods=20)
+    r.isolate('y2')
+    r.step(*both, periods=12)
+    assert r.spin_until(lambda: len(heard) >= 32)
+    first, last = (decode(Range, raw) for raw in (heard[20], heard[31]))
+    assert first.range > 1.25 and first.variance > 0.25**2
+    assert 0.0 < last.variance < 0.04

@@ -68,6 +68,7 @@ def _composed(parts: Sequence[Batch], L: int, m: int) -> Composite:
         warm_up=joined('warm_up', float),
         proved=joined('proved', bool),
         wants_held=any(part.wants_held for part in parts),
+        wants_ages=any(part.wants_ages for part in parts),
         tracked=tuple(t._replace(own=int(rows[t.own]), tracker=int(rows[t.tracker]),
                                  free=int(rows[t.free]))
                       for part, rows in zip(parts, at) for t in part.tracked),

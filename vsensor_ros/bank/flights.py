@@ -19,7 +19,7 @@ from vsensor_ros.bank.inputs import Inputs, LARGEST
 from vsensor_ros.bank.measured import Measured
 from vsensor_ros.bank.spread import Spreads
 from vsensor_ros.bank.state import State
-from vsensor_ros.observers import Batch, Told
+from vsensor_ros.observers import Batch
 
 GUARD = 0.5  # s, by default
 LONGEST_GUARD = 10.0  # s
@@ -170,7 +170,7 @@ def stop(states: deque[State] | list[State], stay: np.ndarray,
         if there is not None:
             if id(told.there) not in read:
                 read[id(told.there)] = told.there & there
-            told = Told(told.y, read[id(told.there)], told.held)
+            told = told._replace(there=read[id(told.there)])
         states[at] = State(tick, z, running[id(runs)], since, restarts, outside, told, spread)
 
 

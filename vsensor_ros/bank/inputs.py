@@ -34,15 +34,18 @@ class Inputs:
     `held`: whether somebody asks for the commands that hold at a time. `ends`: of commands that do
     not hold for ever, with a max_age of at least `least`. `wrap`: of each angle the sensors that
     wrap; `curves`: of sensors, what they show of their linear readings; see `Contents`. `shifts`:
-    of stamps, by name; a command's lie ahead by so much.
+    of stamps, by name; a command's lie ahead by so much. `wants_ages`: whether somebody asks how
+    old readings are.
     """
 
     def __init__(self, ages: Mapping[str, int], commands: Sequence[str], Cu: np.ndarray | None,
                  held: bool, ends: Mapping[str, End], least: int,
                  wrap: Sequence[Mapping[str, float]] = (),
                  curves: Mapping[str, Curve] = MappingProxyType({}),
-                 shifts: Mapping[str, int] = MappingProxyType({})) -> None:
+                 shifts: Mapping[str, int] = MappingProxyType({}),
+                 wants_ages: bool = False) -> None:
         self.ages, self.commands, self._wants_held = ages, commands, held
+        self._wants_ages = wants_ages
         self._ends, self._least = dict(ends), least
         self.oldest = max(ages.values(), default=0)
         self._Cu = np.zeros((len(ages), len(commands))) if Cu is None else Cu
@@ -234,7 +237,9 @@ class Inputs:
             there = self._there
             y, held = [v or 0.0 for v in y], [v or 0.0 for v in held]
         return Told(np.array(y, dtype=float), there,
-                    np.array(held, dtype=float) if self._wants_held else _NOTHING)
+                    np.array(held, dtype=float) if self._wants_held else _NOTHING,
+                    np.array([samples.age(time) for samples, _, _ in self._readings]) * 1e-9
+                    if self._wants_ages else _NOTHING)
 
     def over(self, start: int, end: int) -> np.ndarray:
         """Return the commands at the start and at the end of a step, and their means (3, m)."""

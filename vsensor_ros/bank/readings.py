@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+import math
 from typing import Protocol
 
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.reason import Reason
 
+_HELD = 10  # times its age is that of a value which is held on, beside one on a line
 _MOST = 2**16  # samples kept at most, whatever is sent
 DUPLICATE = Reason.of('duplicate stamp')
 BACKWARDS = Reason.of('stamp runs backwards')
@@ -82,6 +84,18 @@ class Samples:
                 after -= _of_commands(seen, stamps[i])
             return (1.0 - part) * value + part * after
         return value if age <= max_age else None
+
+    def age(self, time: int) -> int:
+        """
+        Return how much of a guess `interpolated` is at a time [ns]; 0: it is a sample, or none.
+
+        On a line the geometric mean of the times to both samples, for a line is off by their
+        product; ten times the age while the next one has not come.
+        """
+        i = bisect_right(self.stamps, time)
+        age = time - self.stamps[i - 1] if i else 0
+        return math.isqrt(age * (self.stamps[i] - time)) if age and i < len(self.stamps) \
+            else _HELD * age
 
     def before(self, time: int) -> int:
         """Return the last stamp before a time [ns], or that time where there is none."""

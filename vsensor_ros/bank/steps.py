@@ -86,7 +86,7 @@ class Steps:
         held = Cu is not None or any(curve.beside for curve in design.curves.values())
         self._told = Inputs(grid.ages, design.inputs, Cu, self._batch.wants_held or held,
                             command_ends, 3 * self.period, design.wrap, design.curves,
-                            self._shifts)
+                            self._shifts, self._batch.wants_ages)
         self.angles = self._told.angles  # by sensor that wraps
         self._past: deque[State] = deque()
         # what comes late by itself is paid for

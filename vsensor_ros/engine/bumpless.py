@@ -59,6 +59,10 @@ class Bumpless:
         """
         return sum(self._parts(time))
 
+    def doubtful(self, time: int) -> float:
+        """Return what is left at a time of what is passing."""
+        return self._parts(time)[1]
+
     def _parts(self, time: int) -> tuple[float, float]:
         """Return what is left of the offset, and of what is passing."""
         if (self.offset == 0.0 and self.passing == 0.0) or self.time_constant == 0.0:

@@ -206,10 +206,12 @@ class Composer:
             if wanted.fault_set is not None:
                 value = channel.serve(VIRTUAL, wanted.fault_set, value, lasting, wanted.above,
                                       wanted.deviation, wanted.run)
-            offset = channel.blend.left(lasting) if wanted.fault_set is not None else 0.0
+            offset = doubtful = 0.0
+            if wanted.fault_set is not None:
+                offset, doubtful = channel.blend.left(lasting), channel.blend.doubtful(lasting)
             interval = channel.beside(wanted.interval, wanted.value, lasting)
             return Substitute(value, wanted.fault_set, wanted.deviation, interval, wanted.grade,
-                              offset)
+                              offset, doubtful)
         if not self._heard.fresh(channel.name):
             return None
         value = self._heard.latest(channel.name) if said is None else said

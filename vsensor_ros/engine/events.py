@@ -46,6 +46,7 @@ class Substitute(NamedTuple):
     interval: tuple[float, float] | None  # in which the truth lies, where that is known
     grade: str  # of the virtual sensor; '' when there is none
     offset: float  # in the value, so that there is no step; it dies out
+    doubtful: float = 0.0  # of the offset, what may be the fault
 
 
 class Reserve(NamedTuple):

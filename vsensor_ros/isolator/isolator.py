@@ -36,6 +36,7 @@ DAY = 86400.0  # s
 SHORT = 16  # samples of the mean that is a deviation
 AGAIN = 0.5  # s between two looks at the shape of a fault
 LATELY = 10.0  # s for which spikes are told
+LARGEST = 1e75  # so that its square is a number; what is beyond is no reading
 GRID = 0.5  # of a period, by which a step may be off the grid
 
 
@@ -98,9 +99,10 @@ class Isolator:
         """
         Take what was read and estimated at a time of the grid [ns]; return what is known by now.
 
-        readings (c,): NaN where none came. estimates (r,): of the channel of each residual, or the
-        residual itself where it has none; NaN while it does not run. A time that is not confirmed,
-        because readings may still come in late, is not looked at; it has to be given again.
+        readings (c,): NaN where none came; infinite is none. estimates (r,): of the channel of
+        each residual, or the residual itself where it has none; NaN while it does not run. A time
+        that is not confirmed, because readings may still come in late, is not looked at; it has to
+        be given again.
         """
         if not confirmed or self.settings.mode == 'off':
             return self._verdict
@@ -108,8 +110,9 @@ class Isolator:
                 > GRID * 1e9 * self.period:
             self._start_anew()
         self._time = time
-        self._readings[self._held] = readings
-        self._estimates[self._held] = estimates
+        for kept, given in ((self._readings, readings), (self._estimates, estimates)):
+            kept[self._held] = given
+            kept[self._held, ~(np.abs(kept[self._held]) < LARGEST)] = np.nan
         self._held += 1
         if self._held == self.watch.batch:
             self._held = 0

@@ -17,7 +17,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.isolator.block_maxima import BlockMaxima, ROOM
 from vsensor_ros.isolator.detector import TESTS
-from vsensor_ros.isolator.isolator import Isolator
+from vsensor_ros.isolator.isolator import Isolator, LARGEST
 from vsensor_ros.observers.checked_json import CheckedObject, read_json
 from vsensor_ros.whole_file import write_whole
 
@@ -125,7 +125,10 @@ def _maxima(reader: CheckedObject, rows: int, columns: int) -> BlockMaxima:
             if not isinstance(cell, list) or len(cell) >= ROOM:
                 raise reader.fail(f'blocks[{i}][{j}]', f'is not less than {ROOM} numbers')
             values = CheckedObject(reader.path, reader.place, {f'blocks[{i}][{j}]': cell})
-            store.maxima[:len(cell), i, j] = values.array(f'blocks[{i}][{j}]', len(cell))
+            found = values.array(f'blocks[{i}][{j}]', len(cell))
+            if np.any(np.abs(found) > LARGEST):
+                raise values.fail(f'blocks[{i}][{j}]', f'has a number above {LARGEST:g}')
+            store.maxima[:len(cell), i, j] = found
             store.count[i, j] = len(cell)
     return store
 
@@ -141,4 +144,6 @@ def _sizes(reader: CheckedObject, key: str, length: int) -> np.ndarray:
     values = reader.array(key, length)
     if np.any(values < 0.0):
         raise reader.fail(key, 'must not be negative')
+    if np.any(values > LARGEST):
+        raise reader.fail(key, f'has a number above {LARGEST:g}')
     return values

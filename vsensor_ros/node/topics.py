@@ -114,7 +114,7 @@ class Topic:
             set_variance, there = self._set_variance[i], accessor.get(message)
             if set_variance is not None and not (  # nothing is supplied: its mark may stay
                     isinstance(there, Reason) and math.isnan(field.value)):
-                set_variance(message, field.deviation)
+                set_variance(message, math.hypot(field.deviation, field.doubtful))
             return accessor.put(message, field.value)
         if field is not None:
             return accessor.put(message, field)

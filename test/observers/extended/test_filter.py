@@ -126,3 +126,25 @@ def test_two_sensors_of_one_state_that_nobody_knows():
     twice = one(reads=(True, True), C=np.array([[1.0, 0.0], [1.0, 0.0]]),
                 start=np.array([1e40, 1e40]), noise=np.array([1e-9, 1e-9]))
     assert np.isfinite(run(twice, np.ones((3, 2)))[0, :2]).all()
+
+
+def test_what_has_become_old_is_no_reading():
+    """A sensor pauses while the mass moves on: that neither pulls nor tells of the model."""
+    filter_, alone = one(reads=(True, True)), one(reads=(True, False))
+    z = run(filter_, np.zeros((30, 2)))
+    stale = told(0.0, 9.0)._replace(ages=np.array([0.0, 5 * H]))
+    np.testing.assert_allclose(filter_.step(z, stale, np.zeros((3, 1)))[0, :8],
+                               alone.step(z, stale, np.zeros((3, 1)))[0, :8])
+    fresh = stale._replace(ages=np.array([0.0, H]))
+    assert abs(filter_.step(z, fresh, np.zeros((3, 1)))[0, 1]) > 0.1
+    for _ in range(30):
+        z = filter_.step(z, stale, np.zeros((3, 1)))
+    assert z[0, -1] < LOST
+
+
+def test_a_variance_that_rounding_has_taken():
+    filter_ = one()
+    z = run(filter_, np.zeros((2, 2)))
+    z[0, 2:6] = -filter_.gain(z[:, 2:6].reshape(1, 2, 2))[1][0, 0] * np.eye(2).ravel()
+    with np.errstate(all='raise'):
+        assert np.isfinite(filter_.step(z, told(1.0, 0.0), np.zeros((3, 1)))).all()

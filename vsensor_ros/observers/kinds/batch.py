@@ -19,6 +19,8 @@ class Told(NamedTuple):
     y: np.ndarray  # (L,) readings, 0 where there is none
     there: np.ndarray  # (L + m,) bool: which readings and commands there are
     held: np.ndarray  # (m,) commands that hold from then on; (0,) when nobody asks for them
+    # (L,) s, how far from readings y is, see Samples.age; (0,) when nobody asks
+    ages: np.ndarray = np.zeros(0)
 
 
 class Tracked(NamedTuple):
@@ -74,6 +76,7 @@ class Batch(ABC):
     warm_up: np.ndarray  # (O,) s from its start until nothing of that is left; inf: not known
     proved: np.ndarray  # (O,) bool: that it converges
     wants_held: bool = False  # whether it reads Told.held
+    wants_ages: bool = False  # whether it reads Told.ages
     tracked: tuple[Tracked, ...] = ()
     # entries that cannot be run, and why
     left_out: Mapping[Key, Reason] = field(default_factory=dict)

@@ -15,8 +15,8 @@ from vsensor_ros.observers.kinds.extended.filter import Filter, LOST
 from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
 from vsensor_ros.reason import add_sentences, Reason
 
-add_sentences({'model lost': 'the healthy sensors say {size} times what the model expects of '
-               'them, at most {limit}'})
+add_sentences({'model lost': 'the healthy sensors say {size:.2g} times what the model expects '
+               'of them, at most {limit:g}'})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,6 +103,7 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
         error=np.zeros(V), assumed=np.zeros(V, dtype=bool),
         slowest=np.array([min(1.0 / max(e.decay, 1e-9), e.ages[-1]) for e in entries]),
         warm_up=warm_up, proved=np.zeros(V, dtype=bool), wants_held=bool(model.Cu.any()),
+        wants_ages=True,
         tracked=tuple(Tracked(i, V + i, i, tuple(
             j for j, name in enumerate(sensors) if name in e.fault_set and reads[V + i, j]),
             float(warm_up[i])) for i, e in enumerate(entries)),

@@ -21,6 +21,7 @@ WHILE = 0.1  # s over which the mean of what sensors say beside what is expected
 # widened, beyond the other nothing is served any more. Of white noise 1 is usual; chosen on runs
 # 0 to 2 of the two-link arm, where up to 21 was seen and all was well, and on simulated ones
 MILD, LOST = 4.0, 25.0
+STALE = 1.5  # times what is between readings, or steps: then a reading is one no more
 FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
 
 
@@ -47,6 +48,7 @@ class Filter:
         self._Cu = np.zeros_like(model.Cu) if clean else model.Cu
         # of readings that are rarer than steps, each counts for many of these
         self._meter = np.diag(model.noise**2 * np.maximum(model.lasts / period, 1.0))
+        self._stale = STALE * np.maximum(model.lasts, period)
         self._drive = np.concatenate([model.input_noise, model.unknown_noise])**2
         self._variance = model.spreads**2
         self._share = min(1.0, period / WHILE)  # of a new value in the mean over a while
@@ -60,13 +62,23 @@ class Filter:
             setattr(found, name, getattr(self, name)[rows])
         return found
 
+    def _with(self, ages: np.ndarray) -> Filter:
+        """Return one that leaves out what is no reading any more; ages (L,) s, or (0,)."""
+        if not (ages.size and (stale := ages > self._stale).any()):
+            return self
+        found = object.__new__(Filter)
+        found.__dict__.update(self.__dict__)
+        found._reads, found._healthy = self._reads & ~stale, self._healthy & ~stale
+        found._C = self._C * ~stale[:, None]
+        return found
+
     def start(self, told: Told) -> np.ndarray:
         """Return the first states (R, k): what readings say of the start that is expected."""
         R, n = len(self._reads), self._n
         x, P = np.tile(self._model.initial, (R, 1)), np.tile(np.diag(self._model.start**2),
                                                              (R, 1, 1))
         X, mean = np.zeros((R, n, self._p)), np.zeros(self._reads.shape)
-        return self._corrected(x, P, X, mean, np.zeros(R), told)
+        return self._with(told.ages)._corrected(x, P, X, mean, np.zeros(R), told)
 
     def step(self, z: np.ndarray, after: Told, commands: np.ndarray) -> np.ndarray:
         """Step the states (R, k) to readings at the end, by commands (3, m): see `Batch.step`."""
@@ -74,7 +86,7 @@ class Filter:
         x, (F, G, Q) = self._moved(x, commands)
         P, X = self.spread_step(F, G, Q, P.reshape(-1, self._n, self._n),
                                 X.reshape(-1, self._n, self._p))
-        return self._corrected(x, P, X, mean, worst[:, 0], after)
+        return self._with(after.ages)._corrected(x, P, X, mean, worst[:, 0], after)
 
     def linear(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return F (1, n, n), G (1, n, p) and Q (1, n, n) of a step at a point."""
@@ -112,7 +124,8 @@ class Filter:
         K, variances = self.gain(P)
         x = x + (K @ off[:, :, None])[:, :, 0]
         P, X = self.spread_correction(K, P, X)
-        white = np.where(self._healthy, off / np.sqrt(np.maximum(variances, 0.0)), 0.0)
+        variances = np.maximum(variances, np.diagonal(self._meter))  # rounding may take it off
+        white = np.where(self._healthy, off / np.sqrt(variances), 0.0)
         mean = mean + self._share * (white - mean)
         worst = np.maximum(worst, (mean * mean).sum(axis=1) / self._usual)
         R = len(x)
