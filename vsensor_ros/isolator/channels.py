@@ -53,7 +53,6 @@ class Channels:
             np.zeros(count, dtype=np.int64) for _ in range(6))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
         self.range = np.full((2, count), np.nan)  # least and largest healthy reading
-        self.half = np.full(count, np.inf)  # of that range; inf: not known
         self.spikes = np.zeros(count, dtype=np.int64)
         # drawn from the record: repeats that are too many, what is too rough and what is a spike
         self._needed, self._cap, self._roughest, self._spike = (
@@ -165,8 +164,6 @@ class Channels:
         """Draw from the record how far a channel moves, and how many repeats are too many."""
         usual = np.stack([-self.motion.usual(1), self.motion.usual(0)])
         self.range = np.where(np.isfinite(usual), usual, np.nan)
-        half = np.asarray((self.range[1] - self.range[0]) / 2)
-        self.half[:] = np.where(np.isfinite(half), half, np.inf)
         share = (self.repeats + 1) / (self.pairs + 2)
         # of what rests now and then, repeats follow each other
         share = np.maximum(share, (self.again + share) / (self.repeats + 1))

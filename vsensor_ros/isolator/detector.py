@@ -68,14 +68,12 @@ class Detector:
         self._jobs: list[tuple[int, slice]] = []
         self._next = ENOUGH / period  # learnt samples at which thresholds are computed anew
 
-    def step(self, samples: Floats, learn: Bools | bool, widened: Floats | float = 0.0,
-             stretch: Floats | None = None) -> Bools:
+    def step(self, samples: Floats, learn: Bools | bool, widened: Floats | float = 0.0) -> Bools:
         """
         Take a batch of samples (batch, n); return which columns alarm now (n,).
 
         samples: NaN starts the windows of a column anew. learn, () or (n,): whether the machine
-        counts as healthy. widened, () or (n,): added to all thresholds of a column. stretch (n,):
-        by which share of themselves the thresholds of a column are larger.
+        counts as healthy. widened, () or (n,): added to all thresholds of a column.
         """
         self._count += 1
         raw = self._raw
@@ -101,8 +99,6 @@ class Detector:
                 above[test][self.filled < full] = below[test][self.filled < full] = 0.0
         self._learn(above, below, due, learn)
         limits = self.thresholds.reshape(2, 2, len(WINDOWS), -1)[:, :, :due]
-        if stretch is not None:
-            widened = widened + (limits[:, 0] + limits[:, 1]) * (stretch / 2)
         above -= limits[:, 0]
         below += limits[:, 1]
         passed = self.high[:, :due]
