@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from vsensor_ros import design, load_plant, Plant
-from vsensor_ros.observers import Design, VirtualSensor
+from vsensor_ros.designer.dedicated import dedicated, innovations
+from vsensor_ros.designer.residuals import residual
+from vsensor_ros.observers import NONE, Residual, VirtualSensor
+from vsensor_ros.observers.kinds.functional.tracking import tracker
 
 PERIOD = 0.01  # s
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
@@ -165,21 +168,32 @@ class Machines:
         return self.x @ self._outputs.T + noise, commands
 
 
-def designed(case: Case) -> Design:
-    """Design for all sets of up to three sensors, so that all supports are there."""
+def bank_of(case: Case) -> tuple[list[Residual], list[VirtualSensor]]:
+    """
+    Return the residuals of a case, and the observer of each as it runs for its residual.
+
+    Those of the design that isolates, for all sets of up to three sensors. And for each sensor the
+    dedicated filter that reads all others: designed or not, because it is quick.
+    """
     sensors = case.plant.sensors
-    return design(case.plant, [s for size in (1, 2, 3) for s in combinations(sensors, size)
-                               if size <= len(sensors)])
-
-
-def checks_of(made: Design) -> list[VirtualSensor]:
-    """Return the exact virtual sensors, of those that read the same for a channel the first."""
-    found: dict[tuple[str, frozenset[str]], VirtualSensor] = {}
-    for entry in made.virtual_sensors:
+    made = design(case.plant, [s for size in (1, 2, 3) for s in combinations(sensors, size)
+                               if size <= len(sensors)], isolate=True)
+    assert made.isolability is not None
+    entries, residuals = made.isolating().entries, list(made.isolability.residuals)
+    observers = []
+    for r in residuals:
+        entry = entries[r.fault_set, r.channel]
         assert isinstance(entry, VirtualSensor)
-        if entry.grade == 'exact':
-            found.setdefault((entry.channel, frozenset(entry.reads)), entry)
-    return list(found.values())
+        observers.append(tracker(entry) if entry.grade == 'temporary' else entry)
+    for sensor in sensors:
+        shown = {d.sensor: d.strength for d in made.isolability.plant
+                 if d.others == (sensor,) and d.strength != NONE}
+        of = innovations(case.plant, (sensor,)) if shown else None
+        for entry in dedicated(of, shown) if of else ():
+            if entry.channel not in made.isolability.filters:
+                observers.append(entry)
+                residuals.append(residual(case.plant, entry))
+    return residuals, observers
 
 
 class Observers:

@@ -9,15 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.isolator_peer import Peer
-from benchmark.isolator_plants import (
-    Case,
-    checks_of,
-    designed,
-    Floats,
-    Machines,
-    Observers,
-    PERIOD,
-)
+from benchmark.isolator_plants import bank_of, Case, Floats, Machines, Observers, PERIOD
 from vsensor_ros.isolator.detector import TESTS
 from vsensor_ros.isolator.diagnosis import Diagnosis
 from vsensor_ros.isolator.recovery import Recovery
@@ -73,26 +65,26 @@ class Fleet:
     def __init__(self, case: Case, count: int, error: float, seed: int) -> None:
         self.case, self.count = case, count
         self.sensors = case.plant.sensors
-        self.checks = checks_of(designed(case))
+        self.checks, observers = bank_of(case)
         self.machines = Machines(case, count, error, seed)
-        self.observers = Observers(self.checks, self.sensors, count)
+        self.observers = Observers(observers, self.sensors, count)
         self.observers.start(self.machines.x)
         r, c = len(self.checks), len(self.sensors)
-        own = np.array([self.sensors.index(s.channel) for s in self.checks])
-        reads = [{s.channel, *s.reads} for s in self.checks]
-        self.supports = [sum(1 << self.sensors.index(name) for name in names) for names in reads]
-        best = [min((i for i in range(r) if own[i] == j), default=-1, key=lambda i: len(reads[i]))
-                for j in range(c)]
-        at = np.arange(count)[:, None]
-        owns = (own + c * at).ravel()
-        supports = np.kron(np.eye(count, dtype=bool), np.array(
-            [[name in names for name in self.sensors] for names in reads]))
-        gains = np.zeros((count * r, count * c))
-        gains[np.arange(count * r), owns] = 1.0
-        noise = np.tile([s.noise.error for s in self.checks if s.noise], count)
-        self.watch = Watch(PERIOD, owns, supports, gains, noise,
-                           np.where(np.array(best) < 0, -1, best + r * at).ravel(),
-                           WANTED / (TESTS * r), 0.1)
+        own = np.array([self.sensors.index(i.channel) if i.channel in self.sensors else -1
+                        for i in self.checks])
+        support = np.array([[name in i.support for name in self.sensors] for i in self.checks])
+        self.supports = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in support]
+        best = np.array([min(np.flatnonzero(own == j), default=-1,
+                             key=lambda i: support[i].sum()) for j in range(c)])
+        gains = np.array([[1.0 if own[i] == j else 0.0 if own[i] >= 0 or name not in check.support
+                           else abs(check.gains[check.support.index(name)] or 0.0)
+                           for j, name in enumerate(self.sensors)]
+                          for i, check in enumerate(self.checks)])
+        at, each = np.arange(count)[:, None], np.eye(count)
+        self.watch = Watch(
+            PERIOD, np.where(own < 0, -1, own + c * at).ravel(), np.kron(each, support) > 0.0,
+            np.kron(each, gains), np.tile([i.noise for i in self.checks], count),
+            np.where(best < 0, -1, best + r * at).ravel(), WANTED / (TESTS * r), 0.1)
         self.diagnoses = [Diagnosis(self.supports) for _ in range(count)]
         self.readings = np.zeros((self.watch.batch, count, c))
         self.estimates = np.zeros((self.watch.batch, count, r))

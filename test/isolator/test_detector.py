@@ -25,7 +25,7 @@ def test_tests_are_the_means_of_medians_over_windows(batch):
     samples = np.random.default_rng(0).standard_normal((6144, 2)).cumsum(axis=0) / 50
     running = detector(batch)
     feed(running, samples)
-    tests = running._tests(len(WINDOWS))
+    tests, _ = running._tests(len(WINDOWS), np.zeros((batch, 2)))
     padded = np.vstack([np.zeros((2, 2)), samples])
     middle = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     for w, window in enumerate(WINDOWS):
@@ -41,7 +41,9 @@ def test_windows_of_one_give_the_extremes_of_a_batch():
     running = detector(4, n=1)
     feed(running, np.array([1.0, 1, 1, 1, 1, 1, 2, 2, -3, -3, 5, 5])[:, None])
     middle = running._past[running._count % len(running._past)]
-    most, least = running._single(middle)
+    running._before[:] = 1.25
+    most, least = running._tests(len(WINDOWS), middle)
+    most, least = most[:, 0], least[:, 0]
     assert (most[0, 0], least[0, 0]) == (5.0, -3.0)
     assert (most[1, 0], least[1, 0]) == (5.0 - 1.25, -3.0 - 1.25)  # medians before: 1 1 1 2
 

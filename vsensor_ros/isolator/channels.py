@@ -58,6 +58,7 @@ class Channels:
         self._needed, self._cap, self._roughest, self._spike = (
             np.full(count, np.inf) for _ in range(4))
         self._count = 0
+        self._fades = np.exp(-batch * period / PEAK)
         self.restart()
 
     def restart(self) -> None:
@@ -66,8 +67,8 @@ class Channels:
         self.run, self.gap, self._streak = (np.zeros(count, dtype=np.int64) for _ in range(3))
         self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
         self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
-        self._raw = np.full((self.batch + 2, count), np.nan)
-        self._others = np.full((self.batch + 2, count), np.nan)
+        # readings, and the residuals of their virtual sensors
+        self._both = np.full((2, self.batch + 2, count), np.nan)
         self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
         self._extremes = np.full((2, count), -np.inf)
         self._bent, self._apart = np.zeros(count), np.zeros(count)  # sums of the block
@@ -82,9 +83,10 @@ class Channels:
         """
         self._count += 1
         learn = np.broadcast_to(np.asarray(learn), self.run.shape)
-        raw, others = self._raw, self._others
-        raw[:2], others[:2] = raw[-2:], others[-2:]
-        raw[2:], others[2:] = readings, residuals
+        both = self._both
+        both[:, :2] = both[:, -2:]
+        both[0, 2:], both[1, 2:] = readings, residuals
+        raw = both[0]
         if (raw[1:-1] != raw[2:]).all() and not np.isnan(raw[1:].sum()):  # the usual case
             self.run[:] = self.gap[:] = 0
             self._last, self._from = readings[-1].copy(), estimates[-1].copy()
@@ -95,7 +97,7 @@ class Channels:
         low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
         middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
         self._move(middle, learn)
-        self._roughen(raw, others, middle)
+        self._roughen(both, middle)
         if self._count % (BLOCK // self.batch) == 0:
             self._end_block()
 
@@ -123,20 +125,20 @@ class Channels:
     def _move(self, middle: Floats, learn: Bools) -> None:
         low, high = self.range
         most, least = np.fmax.reduce(middle), np.fmin.reduce(middle)
-        self.beyond *= np.exp(-self.batch * self.period / PEAK)
+        self.beyond *= self._fades
         np.fmax(self.beyond, np.fmax(most - high, low - least), out=self.beyond)
         np.fmax(self._extremes[0], most, out=self._extremes[0])
         np.fmax(self._extremes[1], -least, out=self._extremes[1])
         self._streak += self.batch
         self._streak *= learn
 
-    def _roughen(self, raw: Floats, others: Floats, middle: Floats) -> None:
-        bends = np.abs(raw[2:] - 2 * raw[1:-1] + raw[:-2])
-        np.fmin(bends, np.abs(others[2:] - 2 * others[1:-1] + others[:-2]), out=bends)
+    def _roughen(self, both: Floats, middle: Floats) -> None:
+        slopes = both[:, 1:] - both[:, :-1]
+        bends = np.fmin.reduce(np.abs(slopes[:, 1:] - slopes[:, :-1]), axis=0)
         self._bent += bends.sum(axis=0)
         np.minimum(bends, self._cap, out=bends)
         self._window[self._count % len(self._window)] = bends
-        apart = np.abs(raw[1:-1] - middle)
+        apart = np.abs(both[0, 1:-1] - middle)
         spiked = apart > self._spike
         self._calm += self.batch
         if spiked.any():

@@ -39,7 +39,6 @@ class Detector:
         self.prior, self._limit = prior, limit
         self._length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
         self._strides = [max(1, window // (4 * batch)) for window in WINDOWS]
-        self._parts = 4 // batch  # of the four samples before a window of one
         self._blocks = [block // batch for block in BLOCKS]
         self._full = self._length[:, None] * batch + 2  # samples; and 2: the median needs them
         self.learnt = np.zeros(n, dtype=np.int64)  # samples
@@ -53,6 +52,16 @@ class Detector:
         self._sums = np.zeros((self._span, n))  # of all samples up to each batch
         self._past = np.zeros((SPAN // batch, batch, n))  # behind the median of three
         self._raw = np.zeros((batch + 2, n))
+        self._before = np.zeros(n)  # mean of the batch before
+        # by how many windows are due: batches back from which sums are taken, what turns them
+        # into means, and room for the tests
+        first = int(batch > 1)
+        dues = {due: self._length[first:due] for due in range(1, count + 1)}
+        self._places = {due: np.concatenate([w, 5 * w]) for due, w in dues.items()}
+        self._scales = {due: 1.0 / (batch * np.stack([w, 4 * w])[:, :, None])
+                        for due, w in dues.items()}
+        self._above, self._below = (
+            {due: np.zeros((2, due, n)) for due in dues} for _ in range(2))
         self._largest = np.full((2, count, n), -np.inf)
         self._least = np.full((2, count, n), np.inf)
         self._count = 0  # batches
@@ -79,43 +88,45 @@ class Detector:
         middle = self._past[self._count % len(self._past)]
         np.minimum(high, raw[2:], out=middle)
         np.maximum(low, middle, out=middle)
-        np.add(self._sums[(self._count - 1) % self._span], middle.sum(axis=0),
+        total = np.add.reduce(middle, axis=0)
+        np.add(self._sums[(self._count - 1) % self._span], total,
                out=self._sums[self._count % self._span])
         due = sum(self._count % stride == 0 for stride in self._strides)
-        above = self._tests(due)
-        below = above
-        if self.batch > 1:
-            below = above.copy()
-            above[:, 0], below[:, 0] = self._single(middle)
+        above, below = self._tests(due, middle)
+        np.divide(total, self.batch, out=self._before)
         if self.filled.min(initial=SPAN) < 5 * self._full[due - 1]:
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
                 above[test][self.filled < full] = below[test][self.filled < full] = 0.0
-        limits = self.thresholds.reshape(2, 2, len(WINDOWS), -1)[:, :, :due]
-        passed = self.high[:, :due]
-        np.greater(above, limits[:, 0] + widened, out=passed)
-        passed |= below < -(limits[:, 1] + widened)
         self._learn(above, below, due, learn)
+        limits = self.thresholds.reshape(2, 2, len(WINDOWS), -1)[:, :, :due]
+        above -= limits[:, 0]
+        below += limits[:, 1]
+        passed = self.high[:, :due]
+        np.greater(above, widened, out=passed)
+        passed |= below < np.negative(widened)
+        if not self.high.any():
+            return np.zeros(len(self.prior), dtype=bool)
         return np.logical_or.reduce(self.high, axis=(0, 1))
 
-    def _tests(self, due: int) -> Floats:
-        """Return level and contrast of the first windows (2, due, n)."""
-        length = self._length[:due]
-        newest = self._sums[self._count % self._span]
-        recent = newest - self._sums[(self._count - length) % self._span]
-        before = newest - self._sums[(self._count - 5 * length) % self._span]
-        tests = np.empty((2, *recent.shape))
-        np.divide(recent, (length * self.batch)[:, None], out=tests[0])
-        before -= recent
-        before /= (4 * self.batch * length)[:, None]
-        np.subtract(tests[0], before, out=tests[1])
-        return tests
-
-    def _single(self, middle: Floats) -> tuple[Floats, Floats]:
-        """Return the extremes of level and contrast of windows of one, above and below."""
-        before = self._sums[(self._count - 1) % self._span]
-        before = (before - self._sums[(self._count - 1 - self._parts) % self._span]) / 4
-        most, least = middle.max(axis=0), middle.min(axis=0)
-        return np.stack([most, most - before]), np.stack([least, least - before])
+    def _tests(self, due: int, middle: Floats) -> tuple[Floats, Floats]:
+        """Return level and contrast of the first windows (2, due, n), above and below."""
+        first = int(self.batch > 1)  # a window of one has its extremes within a batch
+        places, scale = self._places[due], self._scales[due]
+        above, below = self._above[due], self._below[due]
+        tests = above[:, first:]
+        taken = self._sums.take(self._count - places, axis=0, mode='wrap')
+        np.subtract(self._sums[self._count % self._span], taken, out=taken)
+        taken = taken.reshape(tests.shape)
+        taken[1] -= taken[0]
+        np.multiply(taken, scale, out=tests)
+        np.subtract(tests[0], tests[1], out=tests[1])
+        below[:, first:] = tests
+        if first:
+            np.maximum.reduce(middle, axis=0, out=above[0, 0])
+            np.minimum.reduce(middle, axis=0, out=below[0, 0])
+            np.subtract(above[0, 0], self._before, out=above[1, 0])
+            np.subtract(below[0, 0], self._before, out=below[1, 0])
+        return above, below
 
     def _learn(self, above: Floats, below: Floats, due: int, learn: Bools | bool) -> None:
         """Keep the extremes of the blocks that run, and the record of those that end."""
@@ -123,8 +134,11 @@ class Detector:
         np.maximum(largest, above, out=largest)
         np.minimum(least, below, out=least)
         self._streak += self.batch
-        self._streak *= learn
-        self.learnt += self.batch * np.asarray(learn)
+        if learn is True:
+            self.learnt += self.batch
+        else:
+            self._streak *= learn
+            self.learnt += self.batch * np.asarray(learn)
         if self._count % self._blocks[0] == 0:
             for w, block in enumerate(self._blocks):
                 if self._count % block == 0:

@@ -46,7 +46,7 @@ class Watch:
         self.gain = self.gains.max(axis=1, initial=0.0)
         self.detector = Detector(period, self.batch, false_alarms, PRIOR * noise, WILD * noise)
         self.channels = Channels(period, self.batch, len(best))
-        self._seen = best >= 0
+        self._unseen = np.flatnonzero(best < 0) if (best < 0).any() else None
         self._told = None if (own >= 0).all() else own >= 0
         self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
 
@@ -58,19 +58,21 @@ class Watch:
         learn, () or (n,), and learn_channels, () or (c,): who counts as healthy.
         """
         if self._told is None:
-            residuals = readings[:, self.own] - estimates
+            residuals = readings.take(self.own, axis=1)
+            residuals -= estimates
         else:
             residuals = np.where(self._told, readings[:, self.own], 0.0) - estimates
         if self._wraps is not None:
             residuals -= np.where(np.isfinite(self._wraps), self._wraps, 0.0) * np.round(
                 residuals / self._wraps)
-        shown = np.where(self._seen, residuals[:, self.best], np.nan)
-        said = np.where(self._seen, estimates[:, self.best], np.nan)
+        shown, said = residuals.take(self.best, axis=1), estimates.take(self.best, axis=1)
+        if self._unseen is not None:
+            shown[:, self._unseen] = said[:, self._unseen] = np.nan
         self.channels.step(readings, shown, said, learn_channels)
         self.said = said[-1]
         alarms = self.detector.step(residuals, learn, self._widened())
-        spiking = self.channels.spiking()
-        if spiking.any() and alarms.any():  # what spikes leave behind is nobody's fault
+        if alarms.any():  # what spikes leave behind is nobody's fault
+            spiking = self.channels.spiking()
             for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):
                 alarms[i] = self._lasts(int(i))
         return alarms
