@@ -158,6 +158,12 @@ def _not_built(sensor: str, others: Names, strength: str) -> str:
     return f'{what} of {sensor} could be {task}, but no filter for it passed its checks'
 
 
+def _filter_unproved(order: int, where: str, reason: str) -> str:
+    what = f'of the other one, of order {order}, nothing is proved'
+    return f'{what} {where or "where the plant works"}' + (
+        '' if where or not reason else f' ({reason})') + ': --no-extended'
+
+
 SENTENCES: dict[str, Callable[..., str]] = {
     'reads unknown input': _reads_unknown_input,
     'unknown inputs': _unknown_inputs,
@@ -214,6 +220,11 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'rows decoupled': _rows_decoupled,
     'disturbed rung': lambda method, gain: f'{method}, unknown inputs times {gain:.3g}',
     'alternative': _alternative,
+
+    'filter, none': lambda reason: f'other virtual sensors there are none: {reason}',
+    'filter, for a time': lambda order: (
+        f'the other one, of order {order}, serves for a time only: --no-extended'),
+    'filter, unproved': _filter_unproved,
 
     'not seen': _not_seen,
     'bias not seen': lambda sensor: (
