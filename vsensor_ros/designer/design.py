@@ -83,7 +83,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``extended``: where nothing is proved for all states, and the plant
+    after its channel was lost. ``extended``: where nothing is proved where it works, and the plant
     states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
     'filtered'. ``spread``: how far off those parameters are of which the plant says nothing, one
     standard deviation, as a share of their values. ``isolate``: design, too, what tells whose
@@ -105,7 +105,9 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
                         executor=executor)
         asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
         with calmly():
-            return isolated(plant, asked, plain, progress)
+            # the work file tells whose functionals it holds, and pairs have none
+            return isolated(plant, asked, partial(
+                plain, work_file=None if wanted else work_file), progress)
     functionals = _functionals(plant, wanted)
     sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
     keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
