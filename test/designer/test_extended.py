@@ -8,6 +8,7 @@ import pytest
 
 from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.extended import extended
 from vsensor_ros.observers import ExtendedSensor, VirtualSensor
 from vsensor_ros.report.design_answer import answer
@@ -95,7 +96,7 @@ sensors: {sx: {measures: x, noise: 0.01}, sy: {measures: y, noise: 0.01}}
     (lambda text: text, 'sx', ''),
     # certified about the operating point only: nobody says where the plant works
     (lambda text: text.replace('range: [0.5, 4], ', ''), 'sx',
-     'nothing is proved where the plant works'),
+     'nothing is proved beyond a region about the operating point'),
     # certified in a part of the only range
     (lambda text: text.replace('range: [0.5, 4], ', '', 1).replace(
         'k*x**2 - k*y**2', 'k*x**2 - k*y**2*x'), 'sy', 'nothing is proved with y above'),
@@ -133,6 +134,19 @@ sensors: {gps: {measures: x, noise: 0.1}, odo: {measures: v, noise: 0.02}}
     assert 'not computed' not in said
     html = page(plant, result)
     assert 'by a filter of which nothing is proved: gps' in html and 'why a filter' in html
+
+
+def test_a_spread_of_what_a_sensor_reads_is_minded(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    text = SERIES.replace('measures: y', 'measures: y - scale*f').replace(
+        'spread: 0.05}', 'spread: 0.05}, scale: {value: 0.5, spread: 0.2}').replace(
+        'range: [0.5, 4], ', '')
+    path.write_text(text, encoding='utf-8')
+    plant = load_plant(path)
+    minded = [line for line in advice(plant, design(plant, [['sx']]), None) if 'spread' in line]
+    assert minded == ['the spread of scale is not counted with in what sy reads (0.1 at the '
+                      'operating point): filters are off by more than they say; make it part of '
+                      'the noise, or a slow state']
 
 
 def test_its_deviation_grows_from_that_of_the_readings(plant_of, made):

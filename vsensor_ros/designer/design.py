@@ -311,8 +311,9 @@ def _why(entry: VirtualSensor | Refusal) -> str:
     if entry.grade == 'temporary':
         return say(Reason.of('filter, for a time', order=entry.order))
     c = entry.certificate
+    if c is not None and c.status == 'region':
+        return say(Reason.of('filter, proved in part', order=entry.order, where=c.uncovered))
     return say(Reason.of('filter, unproved', order=entry.order,
-                         where='' if c is None or c.status == 'none' else c.uncovered,
                          reason='' if c is None else c.reason))
 
 

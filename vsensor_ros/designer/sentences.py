@@ -157,13 +157,6 @@ def _not_built(sensor: str, others: Names, strength: str) -> str:
     task = f'told from faults of {listed(others)}' if others else 'seen'
     return f'{what} of {sensor} could be {task}, but no filter for it passed its checks'
 
-
-def _filter_unproved(order: int, where: str, reason: str) -> str:
-    what = f'of the other one, of order {order}, nothing is proved'
-    return f'{what} {where or "where the plant works"}' + (
-        '' if where or not reason else f' ({reason})') + ': --no-extended'
-
-
 SENTENCES: dict[str, Callable[..., str]] = {
     'reads unknown input': _reads_unknown_input,
     'unknown inputs': _unknown_inputs,
@@ -223,8 +216,15 @@ SENTENCES: dict[str, Callable[..., str]] = {
 
     'filter, none': lambda reason: f'other virtual sensors there are none: {reason}',
     'filter, for a time': lambda order: (
-        f'the other one, of order {order}, serves for a time only: --no-extended'),
-    'filter, unproved': _filter_unproved,
+        f'the other one, of order {order}, serves for a time only; --no-extended hands it '
+        'out'),
+    'filter, proved in part': lambda order, where: (
+        f'of the other one, of order {order}, nothing is proved '
+        f'{where or "beyond a region about the operating point: give states a range"}; '
+        '--no-extended hands it out'),
+    'filter, unproved': lambda order, reason: (
+        f'of the other one, of order {order}, nothing is proved'
+        f'{f" ({reason})" if reason else ""}; --no-extended hands it out'),
 
     'not seen': _not_seen,
     'bias not seen': lambda sensor: (
