@@ -17,7 +17,7 @@ import pytest
 from vsensor_ros import design, load_plant
 from vsensor_ros.command.designer import main
 from vsensor_ros.designer.unfinished import Unfinished
-from vsensor_ros.observers import Certificate, Design, Limit, Refusal
+from vsensor_ros.observers import Certificate, Design, Limit, Refusal, VirtualSensor
 from vsensor_ros.report import design_text
 from vsensor_ros.report.design_answer import answer
 
@@ -49,15 +49,19 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             assert ': cannot be replaced\n' in block and entry.reason in plain
             assert not entry.alternative or f'instead: {entry.alternative}' in plain
         else:
-            some = ' for a time' if entry.grade == 'temporary' else ''
+            some = {'temporary': ' for a time',
+                    'filtered': ' by a filter of which nothing is proved'}.get(entry.grade, '')
             left = design_text.left_out(entry)
-            assert f'{title}: can be replaced{some}{left} order' in ' '.join(block.split())
+            kind = '' if isinstance(entry, VirtualSensor) else f' kind {entry.kind}'
+            assert f'{title}: can be replaced{some}{left}{kind} order' in ' '.join(block.split())
             assert f'order             {entry.order} (' in block
+            assert all(name in block for name in entry.reads)
+            if kind:
+                continue
             assert all(''.join(entry.terms[i].short.split()) in ''.join(
                 block.split()) for i in entry.active if entry.terms[i].text != '1')
             assert all(once.count(''.join(entry.terms[i].name.split())) == 1
                        for i in entry.active if entry.terms[i].short != entry.terms[i].name)
-            assert all(name in block for name in entry.reads)
     assert said.endswith(f'; written to {path}\n')
     assert f'\n\n{len(result.virtual_sensors)} of {len(result.entries)} can be replaced' in said
     lost = ' '.join(lines_of(said, 'Sensors that this plant can afford'))
