@@ -52,11 +52,11 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             some = {'temporary': ' for a time',
                     'filtered': ' by a filter of which nothing is proved'}.get(entry.grade, '')
             left = design_text.left_out(entry)
-            kind = '' if isinstance(entry, VirtualSensor) else f' kind {entry.kind}'
-            assert f'{title}: can be replaced{some}{left}{kind} order' in ' '.join(block.split())
-            assert f'order             {entry.order} (' in block
+            functional = isinstance(entry, VirtualSensor)
+            assert f'{title}: can be replaced{some}{left} order' in ' '.join(block.split())
+            assert f'order             {entry.order}{" (" if functional else ","}' in block
             assert all(name in block for name in entry.reads)
-            if kind:
+            if not functional:
                 continue
             assert all(''.join(entry.terms[i].short.split()) in ''.join(
                 block.split()) for i in entry.active if entry.terms[i].text != '1')

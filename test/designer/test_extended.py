@@ -8,8 +8,11 @@ import pytest
 
 from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.extended import extended
 from vsensor_ros.observers import ExtendedSensor, VirtualSensor
+from vsensor_ros.report.design_answer import answer
+from vsensor_ros.report.page import page
 
 PENDULUM = """
 name: pendulum
@@ -76,6 +79,76 @@ def test_what_is_proved_everywhere_stays(plant_of):
     assert isinstance(made[('tacho',), 'tacho'], VirtualSensor)
 
 
+SERIES = """
+name: series
+time: continuous
+parameters: {k: {value: 0.5, spread: 0.05}}
+states:
+  x: {range: [0.5, 4], initial: 1, process_noise: 0.01}
+  y: {range: [0.5, 4], initial: 1, process_noise: 0.01}
+inputs: {f: {operating: 0.5, range: [0.1, 2]}}
+dynamics: {x: f - k*x**2, y: k*x**2 - k*y**2}
+sensors: {sx: {measures: x, noise: 0.01}, sy: {measures: y, noise: 0.01}}
+"""
+
+
+@pytest.mark.parametrize('of, sensor, why', [
+    (lambda text: text, 'sx', ''),
+    # certified about the operating point only: nobody says where the plant works
+    (lambda text: text.replace('range: [0.5, 4], ', ''), 'sx',
+     'nothing is proved beyond a region about the operating point'),
+    # certified in a part of the only range
+    (lambda text: text.replace('range: [0.5, 4], ', '', 1).replace(
+        'k*x**2 - k*y**2', 'k*x**2 - k*y**2*x'), 'sy', 'nothing is proved with y above'),
+])
+def test_what_is_proved_on_the_declared_ranges_stays(tmp_path, of, sensor, why):
+    path = tmp_path / 'plant.yaml'
+    path.write_text(of(SERIES), encoding='utf-8')
+    plant = load_plant(path)
+    plain = design(plant, [[sensor]], extended=False)[(sensor,), sensor]
+    assert plain.certificate.status == 'region'
+    found = design(plant, [[sensor]])[(sensor,), sensor]
+    assert isinstance(found, ExtendedSensor if why else VirtualSensor)
+    assert not why or why in found.why
+
+
+def test_the_answer_tells_of_a_filter_whose_error_stays(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    path.write_text("""
+name: cart
+time: continuous
+parameters: {m: {value: 2.0, spread: 0.1}}
+states: {x: {process_noise: 1e-4, range: [-5, 5]}, v: {process_noise: 0.01, range: [-3, 3]}}
+inputs: {f: {}}
+dynamics: {x: v, v: f/m - 0.05*v*x/m}
+sensors: {gps: {measures: x, noise: 0.1}, odo: {measures: v, noise: 0.02}}
+""", encoding='utf-8')
+    plant = load_plant(path)
+    result = design(plant)
+    assert result[('gps',), 'gps'].decay == 0.0
+    said = ' '.join(answer(result, plant=plant).split())
+    assert 'lose at the same time one 1 of 2: odo by a filter of which nothing is proved: gps' \
+        in said
+    assert 'decay none at the operating point: an error that is there at the loss stays' in said
+    assert 'why a filter the other one, of order 1, serves for a time only' in said
+    assert 'not computed' not in said
+    html = page(plant, result)
+    assert 'by a filter of which nothing is proved: gps' in html and 'why a filter' in html
+
+
+def test_a_spread_of_what_a_sensor_reads_is_minded(tmp_path):
+    path = tmp_path / 'plant.yaml'
+    text = SERIES.replace('measures: y', 'measures: y - scale*f').replace(
+        'spread: 0.05}', 'spread: 0.05}, scale: {value: 0.5, spread: 0.2}').replace(
+        'range: [0.5, 4], ', '')
+    path.write_text(text, encoding='utf-8')
+    plant = load_plant(path)
+    minded = [line for line in advice(plant, design(plant, [['sx']]), None) if 'spread' in line]
+    assert minded == ['the spread of scale is not counted with in what sy reads (0.1 at the '
+                      'operating point): filters are off by more than they say; make it part of '
+                      'the noise, or a slow state']
+
+
 def test_its_deviation_grows_from_that_of_the_readings(plant_of, made):
     found = made[('encoder',), 'encoder']
     assert found.drift[0] < 0.001 < found.drift[-1] < 1.0
@@ -89,7 +162,8 @@ def test_the_file_holds_it(made, tmp_path):
     made.save(path)
     before, after = (d[('encoder',), 'encoder'] for d in (made, Design.load(path)))
     assert before.model.same(after.model)
-    for name in ('channel', 'fault_set', 'reads', 'decay', 'warm_up'):
+    assert before.why.startswith(('other virtual sensors', 'the other one', 'of the other one'))
+    for name in ('channel', 'fault_set', 'reads', 'decay', 'warm_up', 'why'):
         assert getattr(before, name) == getattr(after, name)
     np.testing.assert_array_equal(before.drift, after.drift)
     assert not after.model.noise.flags.writeable

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from vsensor_ros import design, Plant
+from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.observers import Refusal, VirtualSensor
 
@@ -132,3 +132,22 @@ def test_low_order_is_not_bought_with_noise():
     sampled = Plant.from_matrices(expm(np.array(rod.A)), rod.B, rod.C, sample_time=1.0)
     quiet = only(rod, ('y3',), 'y3').noise_gain
     assert only(sampled, ('y3',), 'y3').noise_gain < 200 * quiet
+
+
+def test_a_gain_that_moves_nothing(tmp_path):
+    """A late sensor of a sampled tank whose inflow has no slope where both are level."""
+    path = tmp_path / 'plant.yaml'
+    path.write_text("""
+name: tanks
+time: {sample_time: 0.1}
+states:
+  h1: {range: [0.1, 4], initial: 1, process_noise: 0.001}
+  h2: {range: [0.1, 4], initial: 1, process_noise: 0.001}
+inputs: {f: {operating: 0.3}}
+dynamics:
+  h1: h1 + 0.1*(f - 0.3*sqrt(h1 - h2))
+  h2: h2 + 0.1*(0.3*sqrt(h1 - h2) - 0.1*sqrt(h2))
+sensors: {s1: {measures: h1, noise: 0.01}, s2: {measures: h2, noise: 0.01, delay: 0.3}}
+""", encoding='utf-8')
+    found = design(load_plant(path), [['s2']])[('s2',), 's2']
+    assert isinstance(found, VirtualSensor) and np.abs(found.eigenvalues).max() < 1.0

@@ -418,3 +418,19 @@ def test_the_refusals_are_there(alone):
     kinds = {type(entry) for entry in alone.entries.values()}
     assert Refusal in kinds and len(kinds) == 2
     assert any('already when' in entry.reason for entry in alone.refusals)
+
+
+def test_an_isolating_run_that_is_stopped_keeps_its_pairs(chain, tmp_path):
+    work = tmp_path / 'plant.work'
+    asked = {'fault_sets': [('yc',)], 'isolate': True}
+    whole = design(chain, work_file=work, **asked)
+    pairs = [s for s in whole.fault_sets if len(s) == 2]
+    assert pairs
+    kept = work.read_bytes()
+    assert all(f'"fault_set": ["{a}", "{b}"]'.encode() in kept for a, b in pairs)
+
+    def nobody(key):
+        raise AssertionError(f'{key} was kept')
+    again = design(chain, work_file=work, executor=Meddling(nobody), **asked)
+    assert text_of(again, tmp_path) == text_of(whole, tmp_path)
+    assert work.read_bytes() == kept

@@ -16,7 +16,7 @@ from vsensor_ros.designer.existence import avoidable_signs
 from vsensor_ros.designer.problem import pose
 from vsensor_ros.functions.expression import Apply, gradient, names, Node, parse, walk
 from vsensor_ros.functions.nonlinearity import argument_names, evaluate, slope_at
-from vsensor_ros.observers import Design, VirtualSensor
+from vsensor_ros.observers import Design, ExtendedSensor, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.units import per_second
 
@@ -27,6 +27,7 @@ NEAR = 1.5  # the argument of a tanh that is steep there
 MOST_INPUTS = 30  # for which it is looked for an equilibrium
 
 Again = Callable[[Plant, tuple[str, ...]], Design]
+LITTLE = 1e-6  # of a parameter, by which its slope is found
 
 
 def advice(plant: Plant, design: Design, again: Again) -> tuple[str, ...]:
@@ -35,7 +36,8 @@ def advice(plant: Plant, design: Design, again: Again) -> tuple[str, ...]:
 
     again: designs one fault set of another plant, to see what something costs.
     """
-    lines = [*_beyond_ranges(plant), *_steep(plant), *_unbalanced(plant)]
+    lines = [*_beyond_ranges(plant), *_steep(plant), *_unbalanced(plant),
+             *_spread_readings(plant, design)]
     for (fault_set, channel), entry in design.entries.items():
         if not isinstance(entry, VirtualSensor) or entry.noise is None or \
                 entry.grade == 'temporary':
@@ -64,6 +66,30 @@ def _beyond_ranges(plant: Plant) -> Iterator[str]:
                        f'{low:.4g} to {high:.4g}: all slopes are taken there; give '
                        + (f'{key}: {{{name}: ..}}' if key == 'operating_point' else
                           f'its {key}: ..') + ' within it')
+
+
+def _spread_readings(plant: Plant, design: Design) -> Iterator[str]:
+    """Find parameters not known exactly that move what sensors read: filters take it as exact."""
+    model = next((entry.model for entry in design.virtual_sensors
+                  if isinstance(entry, ExtendedSensor)), None)
+    if model is None or plant.remake is None:
+        return
+    spreads = {**dict(zip(model.parameters, model.spreads)), **plant.spreads}
+    for name, spread in spreads.items():
+        value = plant.parameters[name]
+        if not value or not spread:
+            continue
+        other = plant.remake({name: 1.0 + LITTLE})
+        C, Cu = ((new - old) * spread / (LITTLE * abs(value)) for new, old in (
+            (other.C, plant.C), (other.Cu, plant.Cu)))
+        off = np.abs(C @ plant.operating_point + Cu @ plant.operating_input)
+        for sensor, size in zip(plant.sensors, off):
+            i = plant.sensors.index(sensor)
+            if C[i].any() or Cu[i].any():
+                size_there = _figure(float(size), plant.units.get(sensor, ''))
+                yield (f'the spread of {name} is not counted with in what {sensor} reads '
+                       f'({size_there} at the operating point): filters are off by more than '
+                       'they say; make it part of the noise, or a slow state')
 
 
 def _steep(plant: Plant) -> Iterator[str]:

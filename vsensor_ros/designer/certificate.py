@@ -168,6 +168,13 @@ def nowhere(plant: Plant, sensor: VirtualSensor, reason: str = '') -> Certificat
                  uncovered(plant, sensor, None))
 
 
+def on_declared_ranges(plant: Plant, sensor: VirtualSensor, certificate: Certificate) -> bool:
+    """Tell whether a certificate holds wherever the plant says that it works."""
+    return certificate.status == 'global' or (
+        certificate.status == 'region' and _ranged(plant, sensor)
+        and certificate.region == _region(plant, sensor, plant.ranges, plant.input_range))
+
+
 def promise(plant: Plant, sensor: VirtualSensor, box: Box | None) -> float:
     """Return at little cost what rate may at most be proved in a box, None: everywhere."""
     box = box or _unlimited(plant)

@@ -17,7 +17,7 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.bounded import alternative, least_sensitive
 from vsensor_ros.designer.calm import calmly
-from vsensor_ros.designer.certificate import certify
+from vsensor_ros.designer.certificate import certify, on_declared_ranges
 from vsensor_ros.designer.exact import ExactVerdict, verdict
 from vsensor_ros.designer.existence import (
     avoidable_signs,
@@ -83,7 +83,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``extended``: where nothing is proved for all states, and the plant
+    after its channel was lost. ``extended``: where nothing is proved where it works, and the plant
     states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
     'filtered'. ``spread``: how far off those parameters are of which the plant says nothing, one
     standard deviation, as a share of their values. ``isolate``: design, too, what tells whose
@@ -105,7 +105,9 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
                         executor=executor)
         asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
         with calmly():
-            return isolated(plant, asked, plain, progress)
+            # the work file tells whose functionals it holds, and pairs have none
+            return isolated(plant, asked, partial(
+                plain, work_file=None if wanted else work_file), progress)
     functionals = _functionals(plant, wanted)
     sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
     keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]
@@ -198,13 +200,14 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
         part = subsystem(plant, fault_set, channel, rows)
         problem = pose(part.plant, part.lost, channel,
                        None if rows is None else rows[:, part.states])
-        found = (_lost_already(lost, fault_set, problem) if lost is not None
-                 else part.entry_of_whole(_answer(
-                     problem, choices.prefer, choices.decay, choices.bounded, choices.method,
-                     choices.temporary)))
-        if choices.extended and not _proved(found):
-            return filtered(plant, fault_set, channel, choices.spread) or found
-        return found
+        found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
+            problem, choices.prefer, choices.decay, choices.bounded, choices.method,
+            choices.temporary))
+        if choices.extended and not _proved(problem.plant, found):
+            instead = filtered(plant, fault_set, channel, choices.spread)
+            if instead is not None:
+                return replace(instead, why=_why(found))
+        return found if lost is not None else part.entry_of_whole(found)
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -294,11 +297,24 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     return list(dict.fromkeys(checked))
 
 
-def _proved(entry: Entry | Refusal) -> bool:
-    """Tell whether an answer is known to converge wherever the plant is."""
+def _proved(plant: Plant, entry: VirtualSensor | Refusal) -> bool:
+    """Tell whether an answer is known to converge wherever the plant says that it works."""
     return isinstance(entry, VirtualSensor) and entry.grade != 'temporary' and (
-        not entry.active or (entry.certificate is not None
-                             and entry.certificate.status == 'global'))
+        not entry.active or (entry.certificate is not None and on_declared_ranges(
+            plant, entry, entry.certificate)))
+
+
+def _why(entry: VirtualSensor | Refusal) -> str:
+    """Say why a filter stands in place of an answer, and what that would be."""
+    if isinstance(entry, Refusal):
+        return say(Reason.of('filter, none', reason=entry.reason))
+    if entry.grade == 'temporary':
+        return say(Reason.of('filter, for a time', order=entry.order))
+    c = entry.certificate
+    if c is not None and c.status == 'region':
+        return say(Reason.of('filter, proved in part', order=entry.order, where=c.uncovered))
+    return say(Reason.of('filter, unproved', order=entry.order,
+                         reason='' if c is None else c.reason))
 
 
 def _lost_already(lost: Refusal, fault_set: tuple[str, ...], problem: Problem) -> Refusal:

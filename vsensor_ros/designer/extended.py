@@ -1,5 +1,5 @@
 """
-Kalman filters on the plant's equations, where nothing better is proved for all states.
+Kalman filters on the plant's equations, where nothing is proved on the declared ranges.
 
 They are for plants that say how far off their parameters may be (`spread`), or of which that is
 stated when one asks: without that a filter does not know what it does not know. How the deviation

@@ -117,6 +117,8 @@ def candidates(known: Quotient, noise: NoiseModel, space: InvariantSpace,
     W0B = space.W @ B - space.j @ D
     found = []
     for M in _riccati(space, W0B @ W0B.T, noise.sample_time, decay):
+        if not np.isfinite(M).all():  # the solver does not say so itself
+            continue
         found.append(M)
         yield member(M)
     if not found or not polish or k * t > POLISHED:

@@ -157,7 +157,6 @@ def _not_built(sensor: str, others: Names, strength: str) -> str:
     task = f'told from faults of {listed(others)}' if others else 'seen'
     return f'{what} of {sensor} could be {task}, but no filter for it passed its checks'
 
-
 SENTENCES: dict[str, Callable[..., str]] = {
     'reads unknown input': _reads_unknown_input,
     'unknown inputs': _unknown_inputs,
@@ -214,6 +213,18 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'rows decoupled': _rows_decoupled,
     'disturbed rung': lambda method, gain: f'{method}, unknown inputs times {gain:.3g}',
     'alternative': _alternative,
+
+    'filter, none': lambda reason: f'other virtual sensors there are none: {reason}',
+    'filter, for a time': lambda order: (
+        f'the other one, of order {order}, serves for a time only; --no-extended hands it '
+        'out'),
+    'filter, proved in part': lambda order, where: (
+        f'of the other one, of order {order}, nothing is proved '
+        f'{where or "beyond a region about the operating point: give states a range"}; '
+        '--no-extended hands it out'),
+    'filter, unproved': lambda order, reason: (
+        f'of the other one, of order {order}, nothing is proved'
+        f'{f" ({reason})" if reason else ""}; --no-extended hands it out'),
 
     'not seen': _not_seen,
     'bias not seen': lambda sensor: (

@@ -30,8 +30,11 @@ LISTED = 12  # fault sets, of many
 UNITS_OF_TIME = ((1e3, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h'),
                  (np.inf, 86400.0, 'days'))  # up to so many s, a unit of so many
 UNBROKEN = '\xa0'  # a space at which no line ends
+FILTERED = ('nothing is proved, from a wrong start it may stay wrong; its deviation is worked out '
+            'on the machine, and nothing is served when healthy sensors contradict its model')
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
-VERDICTS = ('yes', 'bounded', 'temporary', 'no')
+UNPROVED = 'by a filter of which nothing is proved'
+VERDICTS = ('yes', 'bounded', 'filtered', 'temporary', 'no')
 
 
 def number(value: float, unit: str = '') -> str:
@@ -49,16 +52,16 @@ def joined(fault_set: Iterable[str]) -> str:
 
 def verdict(design: Design, fault_set: tuple[str, ...]) -> str:
     """
-    Say whether a set can be lost: 'yes', 'bounded', 'temporary' or 'no'.
+    Say whether a set can be lost: 'yes', 'bounded', 'filtered', 'temporary' or 'no'.
 
-    Every sensor of it must be replaceable; 'bounded': unknown inputs disturb one; 'temporary': one
-    serves for a time only.
+    Every sensor of it must be replaceable; 'bounded': unknown inputs disturb one; 'filtered':
+    nothing is proved of one; 'temporary': one serves for a time only.
     """
     entries = [e for (s, channel), e in design.entries.items() if s == fault_set]
     if any(isinstance(e, Refusal) for e in entries):
         return 'no'
     grades = {e.grade for e in entries if not isinstance(e, Refusal)}
-    return next((grade for grade in ('temporary', 'bounded') if grade in grades), 'yes')
+    return next((grade for grade in reversed(VERDICTS) if grade in grades), 'yes')
 
 
 def losses(design: Design) -> dict[int, dict[tuple[str, ...], str]]:
@@ -91,9 +94,12 @@ def loss_lines(design: Design) -> list[tuple[str, list[str]]]:
         if by['temporary']:
             many = f'{len(by["temporary"])} ' if len(by['temporary']) > LISTED else ''
             said.append(f'{many}for a time: {_list(by["temporary"], size == 1)}')
+        if by['filtered']:
+            many = f'{len(by["filtered"])} ' if len(by['filtered']) > LISTED else ''
+            said.append(f'{many}{UNPROVED}: {_list(by["filtered"], size == 1)}')
         if by['no'] and size == 1:
             said.append(f'not {_list(by["no"], True)}')
-        elif by['no'] and len(able) + len(by['temporary']) > LISTED:
+        elif by['no'] and len(able) + len(by['temporary']) + len(by['filtered']) > LISTED:
             holds = [s for s in lost if any(set(s) < set(other) for other in by['no'])]
             parts = ([f'none that holds {_list(holds)}'] if holds else []) + (
                 [f'not {_list(news)}'] if news else [])
@@ -135,7 +141,7 @@ def state_of(entry: Entry | Refusal) -> str:
         return f'cannot be {done}'
     return f'can be {done}' + {'bounded': ' within a bound, disturbed by unknown inputs',
                                'temporary': ' for a time', 'filtered':
-                               ' by a filter of which nothing is proved'}.get(entry.grade, '')
+                               f' {UNPROVED}'}.get(entry.grade, '')
 
 
 def left_out(entry: Entry | Refusal) -> str:
@@ -192,6 +198,8 @@ def decay(entry: Entry) -> str:
         return ('none: an error that is there at the loss does not die out'
                 if entry.decay > -NEARLY else
                 f'none: an error doubles in {number(np.log(2.0) / -entry.decay, "s")}')
+    if isinstance(entry, ExtendedSensor) and entry.decay < NEARLY:
+        return 'none at the operating point: an error that is there at the loss stays'
     settled = settling_time(entry) if isinstance(entry, VirtualSensor) else 3.0 / entry.decay
     said = rate(entry.decay, entry, '1/s')
     return f'{said} (an error is down to 5 % in {seconds(settled)})'
@@ -206,8 +214,9 @@ def seconds(value: float) -> str:
 
 def rate(decay: float, entry: Entry, unit: str = '') -> str:
     """Say how fast errors die out, of an entry or a rung of its ladder."""
-    step = entry.sample_time if isinstance(entry, VirtualSensor) else None
-    if entry.grade == 'temporary':
+    step = (entry.sample_time if isinstance(entry, VirtualSensor)
+            else entry.model.sample_time if isinstance(entry, ExtendedSensor) else None)
+    if entry.grade == 'temporary' or isinstance(entry, ExtendedSensor) and decay < NEARLY:
         return 'none'
     if np.isinf(decay):
         return 'at once'
@@ -309,10 +318,14 @@ def certified(entry: Entry) -> str:
 
 def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
     """Say what there is to say of a virtual sensor of any kind: names and texts."""
-    found = [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
+    if isinstance(entry, ExtendedSensor):
+        said = [('order', f'{entry.order}, the states of the plant'),
+                ('good', grows(entry, unit)), ('decay', decay(entry)), ('reads', reads(entry)),
+                ('found as', entry.method), ('stability', FILTERED), ('why a filter', entry.why)]
+        return [(name, text) for name, text in said if text]
+    return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
              ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
              ('grade', entry.grade), ('found as', entry.method)]
-    return [*found, ('good', grows(entry, unit))] if isinstance(entry, ExtendedSensor) else found
 
 
 def grows(entry: ExtendedSensor, unit: str) -> str:

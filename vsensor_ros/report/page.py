@@ -56,7 +56,7 @@ table.pairs td { text-align: center; padding: .05rem .2rem; border: 1px solid #d
 table.pairs th { padding: .05rem .2rem; border: 0; font-weight: normal; }
 table.pairs tr:last-child th { writing-mode: vertical-rl; }
 .yes { background: #d9f0dc; } .bounded { background: #fdf0c8; }
-.temporary { background: #dfe9fb; } .no { background: #f8d7d3; }
+.temporary, .filtered { background: #dfe9fb; } .no { background: #f8d7d3; }
 .small, figcaption { color: #555; font-size: .88em; }
 tr.taken td { font-weight: bold; }
 .doubt { background: #fdf0c8; padding: .2rem .5rem; }
@@ -67,7 +67,7 @@ svg { max-width: 100%; height: auto; }
 code { font-family: 'DejaVu Sans Mono', monospace; font-size: .92em; }
 a { color: #1f5fbf; text-decoration: none; }
 @media print { body { max-width: none; margin: 0; font-size: 10pt; }
-  .yes, .bounded, .temporary, .no {
+  .yes, .bounded, .filtered, .temporary, .no {
     print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
@@ -254,7 +254,8 @@ def _pairs(design: Design) -> str:
     if len(names) > GRID or len(pairs) < 3 or len(pairs) < len(names) * (len(names) - 1) // 2:
         return ''
     single = design_text.losses(design).get(1, {})
-    marks = {'yes': 'yes', 'bounded': 'bound', 'temporary': 'time', 'no': 'no'}
+    marks = {'yes': 'yes', 'bounded': 'bound', 'temporary': 'time', 'no': 'no',
+             'filtered': 'filter'}
     rows = []
     for i, a in enumerate(names):
         cells = []

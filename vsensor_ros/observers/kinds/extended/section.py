@@ -24,6 +24,7 @@ def write_section(entry: ExtendedSensor) -> dict[str, Any]:
         'reads': list(entry.reads), 'decay': entry.decay, 'warm_up': entry.warm_up,
         'ages': entry.ages.tolist(), 'drift': entry.drift.tolist(),
         'equations': list(m.equations), 'unknown': list(m.unknown),
+        **({'why': entry.why} if entry.why else {}),
         'parameters': [{'name': name, 'value': value, 'spread': spread} for name, value, spread
                        in zip(m.parameters, m.values.tolist(), m.spreads.tolist())],
         **{key: getattr(m, key).tolist() for key in (*_VECTORS, 'C', 'Cu')}}
@@ -33,7 +34,7 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                  version: int) -> ExtendedSensor:
     """Read what write_section wrote; raises BadInput."""
     reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
-                 'parameters', *_VECTORS, 'C', 'Cu'))
+                 'parameters', *_VECTORS, 'C', 'Cu', 'why'))
     reads = reader.names('reads')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -77,7 +78,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     if not model.C[plant.sensors.index(channel)].any():
         raise reader.fail('C', f'tells nothing of {channel}')
     return ExtendedSensor(channel, fault_set, reads, model, reader.size('decay'),
-                          reader.size('warm_up'), ages, drift)
+                          reader.size('warm_up'), ages, drift,
+                          reader.text('why') if 'why' in reader.record else '')
 
 
 def check_equation(text: str, known: Sequence[str], where: object, key: str) -> None:

@@ -66,6 +66,7 @@ class ExtendedSensor:
     warm_up: float  # s until readings of the channels have told where it is
     ages: np.ndarray  # (T,) s after the loss of its channels, and then
     drift: np.ndarray  # (T,) its standard deviation at the operating point
+    why: str = ''  # it stands there and no virtual sensor of which something is proved
 
     @property
     def outputs(self) -> tuple[str, ...]:
