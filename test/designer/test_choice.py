@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from vsensor_ros import Design, design, load_plant, Plant
-from vsensor_ros.designer.certificate import certify
+from vsensor_ros.designer.certificate import certify, REACHES
 from vsensor_ros.designer.choice import most_valid
 from vsensor_ros.designer.error_in_box import error_system, joint_system, slope_bounds
 from vsensor_ros.designer.form_search import search
+from vsensor_ros.designer.natural_size import reaches
 from vsensor_ros.functions.nonlinearity import make_term, slope_at
 from vsensor_ros.observers import VirtualSensor
 from vsensor_ros.observers.kinds.functional.argument_name import argument_place, together
@@ -144,6 +145,27 @@ def test_validity_goes_before_rank_and_a_valid_first_asks_for_no_other():
         yield valid
         raise AssertionError('nobody asked for more')
     assert most_valid(plant, ranks())[1].status == 'global'
+
+
+def test_of_those_that_hold_in_the_same_region_the_rank_decides_not_the_third_digit():
+    """Of d e = -e + s e; the first, by half a percent the worst, holds in the same box."""
+    plant = Plant.from_matrices(
+        [[-1.0, 0], [0, -1]], None, np.eye(2), P=[[1.0], [0]], G=[[1, 0]],
+        nonlinearities=['w1**2'], operating_point=[0.0, 0.0])
+    widest = max(REACHES) * reaches(plant)[0][0]
+
+    def of(gain):
+        return VirtualSensor(
+            'y1', ('y1',), ('y2',), (), np.array([[1.0, 0]]), np.array([[-1.0]]), np.zeros((1, 1)),
+            np.zeros((1, 0)), np.array([[gain]]), np.eye(1), np.zeros((1, 1)),
+            (np.eye(1),), (np.zeros((1, 1)),), plant.terms, None, np.zeros(1), np.zeros((1, 1)),
+            np.array([-1.0 + 0j]), 1.0, 'by hand')
+
+    wild, first, *others = (of(share / (2 * widest)) for share in (
+        0.9, 0.745, 0.741, 0.7409, 0.7408, 0.7407))  # of the linear rate, lost in this box
+    sensor, c = most_valid(plant, iter([wild, first, *others]))
+    assert sensor is first and c.where == (('x1', -widest, widest),)
+    assert c.rate == pytest.approx(0.255, rel=1e-3)
 
 
 # ------------------------------------------------- slopes of shared arguments, bounded together

@@ -204,3 +204,22 @@ sensors: {{ya: {{measures: a, noise: 0.01}}, yb: {{measures: b, noise: 0.01}}}}
     found = design(load_plant(path), [('yb',)])[('yb',), 'yb']
     assert found.decay == pytest.approx(0.3) and found.order == 1
     assert 'unstable' not in found.certificate.uncovered
+
+
+@pytest.mark.slow
+def test_units_and_order_do_not_decide_among_what_holds_in_the_same_region():
+    """Levels in a row of tanks, in units of their own and in another order."""
+    n, rng = 5, np.random.default_rng(1)
+    G, P = np.eye(n) - np.eye(n, k=1), 40.0 * (np.eye(n, k=-1) - np.eye(n))
+
+    def designed(x, y, order):
+        return design(Plant.from_matrices(
+            (P @ G * x[:, None] / x)[np.ix_(order, order)], 40.0 * np.eye(n)[order, :1] * x[0],
+            np.diag(y / x)[:, order], P=(P * x[:, None])[order], G=list((G / x)[:, order]),
+            nonlinearities=['sqrt(w1) - w1'] * n, initial=(np.arange(n, 0.0, -1.0) * x)[order],
+            noise=0.01 * y), [('y1',), ('y3',)])
+
+    one = designed(np.ones(n), np.ones(n), np.arange(n))
+    x, y = 10.0**rng.integers(-2, 3, (2, n))
+    compare(one, designed(x, y, rng.permutation(n)), unit=y[[0, 2]])
+    assert [v.reads for v in one.virtual_sensors] == [('y2',), ('y2', 'y4')]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -141,11 +140,23 @@ def near_the_point(plant: Plant, sensors: Sequence[VirtualSensor]) -> tuple[
                 for sensor, rate in wanted]
         # the first with plenty of it, else those with most
         enough = max(ROOM, min(PLENTY, *sorted(room)[-MOST_TRIED:])) if room else ROOM
-        for _, (sensor, rate) in islice(filter(lambda one: one[0] >= enough, zip(room, wanted)),
-                                        MOST_TRIED):
-            form = _form_in(plant, sensor, box, rate)
-            if form is not None:
-                return sensor, _in_region(plant, sensor, form, box)
+        likely = [i for i, share in enumerate(room) if share >= enough][:MOST_TRIED]
+        found = _first_proved(plant, wanted, likely, box)
+        if found is not None:
+            # a little more room got it tried, and is no reason to go against the rank
+            before = [i for i in range(found[0]) if room[i] > 1.0 and i not in likely]
+            at, form = _first_proved(plant, wanted, before[:MOST_TRIED], box) or found
+            return wanted[at][0], _in_region(plant, wanted[at][0], form, box)
+    return None
+
+
+def _first_proved(plant: Plant, wanted: Sequence[tuple[VirtualSensor, float]],
+                  places: Sequence[int], box: Box) -> tuple[int, Form] | None:
+    """Return the first of these places whose sensor has its wanted rate in a box, and the form."""
+    for i in places:
+        form = _form_in(plant, wanted[i][0], box, wanted[i][1])
+        if form is not None:
+            return i, form
     return None
 
 
