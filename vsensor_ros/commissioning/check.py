@@ -117,7 +117,7 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
             'all are healthy'))
     findings.sort(key=lambda f: -f.level)
     outlooks = [outlook(c, replacer.engine.reserve(c.name), settings.design,
-                        tuple(seen.values()), findings)
+                        tuple(seen.values()), findings, state.faulty)
                 for c in sorted(state.channels,
                                 key=lambda c: settings.design.sensors.index(c.name))]
     replacer.close()

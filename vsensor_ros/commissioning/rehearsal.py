@@ -24,9 +24,11 @@ class Outlook:
 
 
 def outlook(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None, design: Design,
-            uses: Sequence[Use], findings: Sequence[Finding]) -> Outlook:
+            uses: Sequence[Use], findings: Sequence[Finding], faulty: Sequence[str]) -> Outlook:
     """
     Say what would become of a sensor; reserve: who would speak for it, and its deviation.
+
+    faulty: the sensors that are now; what nothing replaces beside these is not so by design.
 
     Why nobody could is explained by what was found of the topic that is missing.
     """
@@ -38,7 +40,7 @@ def outlook(state: ChannelState, reserve: tuple[tuple[str, ...], float] | None, 
         text = _ready(state, reserve, design) if why is None else f'virtual sensor warms up: {why}'
         return Outlook(name, NOTE, text) if _speaks(name, uses) else Outlook(
             name, WARN, f'is not heard itself; {text}')
-    if hope is Chance.NEVER and not state.fault_set:
+    if hope is Chance.NEVER and not faulty:
         return Outlook(name, NOTE, f'not replaced, by design: {why}', False)
     while why.code == 'next best':
         why = why.fact('next' if chance(why.fact('exact')) is Chance.NEVER else 'exact')
