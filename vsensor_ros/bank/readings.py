@@ -82,7 +82,7 @@ class Samples:
             part, after = age / gap, self.values[i]
             if seen:
                 after -= _of_commands(seen, stamps[i])
-            return (1.0 - part) * value + part * after
+            return value + part * (after - value)  # of one that is stuck just what it says
         return value if age <= max_age else None
 
     def age(self, time: int) -> int:

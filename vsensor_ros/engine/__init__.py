@@ -15,6 +15,7 @@ from vsensor_ros.engine.events import (
     Substitute,
     together,
 )
+from vsensor_ros.engine.own_isolator import Learnt, SOURCE
 from vsensor_ros.engine.policy import Policy
 from vsensor_ros.engine.settings import Live, Setup, StreamPlan
 from vsensor_ros.engine.state import ChannelState, EngineState
@@ -33,10 +34,12 @@ __all__ = [
     'Forward',
     'IsolationReport',
     'IsolationSource',
+    'Learnt',
     'Live',
     'Policy',
     'Remark',
     'Reserve',
+    'SOURCE',
     'Setup',
     'Source',
     'StreamPlan',

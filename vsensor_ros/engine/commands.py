@@ -65,6 +65,8 @@ class Commands:
             self._intake.count(name, value)
             if not is_absent(value):  # one of another joint, say, changes nothing
                 self._bank.spoil(name, arrival)
+                if self._intake.own is not None:
+                    self._intake.own.spoil(name, arrival)
                 heard.unused = value
             return
         if stamp and arrival:
@@ -85,6 +87,8 @@ class Commands:
         # the clock was looked at a while ago when all is busy
         now = max(self._clock.now, 0 if self._clock.simulated else received)
         heard.unused = self._bank.take(name, time, value, now)
+        if self._intake.own is not None:
+            self._intake.own.take(name, time, value, now)
         if heard.unused is None:
             heard.time = time if arrival else 0
         else:

@@ -10,6 +10,7 @@ are events: each is a call, with plain data as its arguments. Messages to be mad
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 import traceback
 from types import MappingProxyType
 
@@ -26,9 +27,11 @@ from vsensor_ros.engine.events import (
     Message,
     Remark,
     Reserve,
+    together,
     Token,
 )
 from vsensor_ros.engine.intake import Intake
+from vsensor_ros.engine.own_isolator import Learnt, NOBODY, OwnIsolator, SOURCE
 from vsensor_ros.engine.settings import Live, Setup
 from vsensor_ros.engine.stand_in import StandIn
 from vsensor_ros.engine.state import EngineState, stopped
@@ -36,6 +39,7 @@ from vsensor_ros.engine.stream import Stream, UNREADABLE
 from vsensor_ros.engine.switch import Switch
 from vsensor_ros.engine.ticks import Ticks
 from vsensor_ros.engine.view import by_channel, View
+from vsensor_ros.isolator import Verdict
 from vsensor_ros.reason import Reason
 
 LOOK = 50_000_000  # ns between two looks at what the sources are
@@ -55,7 +59,9 @@ class Engine:
         self._switch = Switch.of(setup.design, setup.live.policies)
         self._clock = Clock(round(setup.jump_ahead * 1e9), setup.simulated)
         self._ticks = Ticks(self._bank, self._clock)
-        self._intake = Intake(self._bank, self._clock)
+        self._own = None if setup.isolator is None or setup.isolator.mode == 'off' \
+            else OwnIsolator(setup)
+        self._intake = Intake(self._bank, self._clock, self._own)
         self._commands = Commands(setup.design.inputs, self._bank, self._clock, self._intake)
         self._stand_in = StandIn(setup.design, self._bank, self._clock, setup.live,
                                  self._intake.held, self._stream_of)
@@ -70,10 +76,11 @@ class Engine:
             for i, plan in enumerate(setup.streams)]
         self._believed: frozenset[str] = frozenset()  # the faulty set that the bank knows
         self._isolated: dict[str, int] = {}  # by reported sensor: since when, as time lasts
-        self._knows: frozenset[str] = frozenset()  # sensors that isolation has spoken of
+        self._others = NOBODY  # what others who isolate say
         self._starts = 0
         self._moved = 0.0  # when simulated time did, by a steady clock
         self._turned = False  # a decision has changed
+        self._found = False  # the own isolator says something else
         self._looked = 0  # when it was seen last what the channels are
         self._seen: list[tuple[str, int]] = []  # and what they were, with the switches
         self._view = View(setup.design, self._bank, self._clock, self._streams, self._stand_in)
@@ -134,6 +141,8 @@ class Engine:
         self._ticks.restart()
         self._intake.forget()
         self._commands.forget()
+        if self._own is not None:
+            self._own.restart()
 
     def _restart(self) -> None:
         self._starts += 1
@@ -184,18 +193,36 @@ class Engine:
     # ------------------------------------------------------------------------------- requests
 
     def isolate(self, report: IsolationReport) -> Messages:
-        """Take what isolation says in all: see `together`."""
+        """Take what others who isolate say in all: see `together`."""
+        self._others = report
+        return self._command(self._isolate) if self._new_report() else []
+
+    def _new_report(self) -> bool:
+        """Put together what all say who isolate; tell whether others are faulty than before."""
         now, lasting = self._clock.now, self._clock.lasting()
-        self._knows = report.knows
+        faulty = together(*(report for _, report in self._reports())).faulty
         self._isolated = {  # a time from before the clock began is now
             s: self._isolated.get(s, lasting - (max(0, now - since) if since else 0))
-            for s, since in report.faulty.items() if s in self._channels}
-        reported = frozenset(self._isolated)
-        if reported == self._switch.reported:
-            return []
-        names = ', '.join(s for s in self._design.sensors if s in reported)
+            for s, since in faulty.items() if s in self._channels}
+        if self._isolated.keys() == self._switch.reported:
+            return False
+        names = ', '.join(s for s in self._design.sensors if s in self._isolated)
         self._intake.say('info', Reason.of('faulty sensors', names=names or 'none'), 'faulty')
-        return self._command(lambda time: self._switch.isolate(reported, time))
+        return True
+
+    def _reports(self) -> list[tuple[str, IsolationReport]]:
+        """Return what each says who isolates, with what it is called."""
+        own = [] if self._own is None else [(SOURCE, self._own.report())]
+        return [('isolation', self._others), *own]
+
+    def _blamed(self) -> dict[str, tuple[str, ...]]:
+        """Return by whom each sensor is called faulty."""
+        said = self._reports()
+        return {s: tuple(source for source, report in said if s in report.faulty)
+                for s in self._isolated}
+
+    def _isolate(self, time: int) -> Switch:
+        return self._switch.isolate(frozenset(self._isolated), time)
 
     def force(self, name: str) -> Messages:
         """Treat a sensor as faulty until released; raises CannotServe and KeyError."""
@@ -207,13 +234,23 @@ class Engine:
         return self._command(lambda time: self._switch.release(name, time))
 
     def clear(self, name: str) -> Messages:
-        """Believe a sensor that is healthy again; raises ValueError, one line, and KeyError."""
+        """
+        Believe a sensor that is healthy again; raises ValueError, one line, and KeyError.
+
+        What the engine's own isolator has against it is forgotten; what others say is not.
+        """
+        self._forgive((name,))
         return self._command(lambda time: self._switch.clear(name, time))
 
     def reset(self) -> Messages:
-        """Start all virtual sensors anew, forget forces, holds and latches."""
+        """Start all virtual sensors anew, forget forces, holds, latches and own isolation."""
         self._restart()
+        self._forgive(self._design.sensors)
         return self._command(lambda time: self._switch.reset(time))
+
+    def _forgive(self, names: tuple[str, ...]) -> None:
+        if self._own is not None and self._own.clear(names) and self._new_report():
+            self._switch = self._isolate(self._clock.lasting())
 
     def apply(self, live: Live) -> Messages:
         """Take over settings that may change."""
@@ -252,6 +289,10 @@ class Engine:
         """Step the virtual sensors to a tick, and speak for the failed."""
         if self._watched:
             self._silence()
+        if self._own is not None and self._own.step(self._clock.now):
+            self._turned = self._found = True
+            if self._new_report():
+                self._switch = self._isolate(self._clock.lasting())
         lag = self._lag()
         self._ticks.advance(at, lag)
         if lag is None:
@@ -334,21 +375,36 @@ class Engine:
 
     # ----------------------------------------------------------------------- what can be seen
 
+    @property
+    def verdict(self) -> Verdict | None:
+        """What the engine's own isolator says; None: there is none."""
+        return None if self._own is None else self._own.verdict
+
+    def learnt(self) -> Learnt | None:
+        """Return what the engine's own isolator has learnt, to be saved; None: there is none."""
+        return None if self._own is None else self._own.learnt()
+
+    def go_on_from(self, path: str | Path, design_hash: str) -> None:
+        """Let the own isolator go on from what it had learnt; raises BadInput, changes nothing."""
+        if self._own is not None:
+            self._own.go_on(path, design_hash)
+
     def remarks(self) -> list[Remark]:
         """Return what is to be said to people, once."""
         return self._intake.remarks()
 
     def changed(self) -> bool:
         """
-        Tell whether a channel has become something else since this was asked before.
+        Tell whether a channel, or what the own isolator says, is another since this was asked.
 
         It looks at once after a decision, else every LOOK.
         """
         if not self._turned and 0 <= self._clock.now - self._looked < LOOK:
             return False
+        found, self._found = self._found, False
         self._turned, self._looked = False, self._clock.now
         before, self._seen = self._seen, self._view.sources(self._switch)
-        return self._seen != before
+        return found or self._seen != before
 
     def reserve(self, name: str) -> tuple[tuple[str, ...], float] | None:
         """
@@ -383,9 +439,10 @@ class Engine:
         still = steady - self._moved if self._clock.simulated else 0.0
         counts = by_channel(self._intake.counts().items())
         return EngineState(
-            self._view.channels(self._switch, self._isolated, counts, stopped(still)),
+            self._view.channels(self._switch, self._isolated, self._blamed(), counts,
+                                stopped(still)),
             tuple(s for s in self._design.sensors if s in self._switch.faulty),
-            tuple(s for s in self._design.sensors if s in self._knows),
+            tuple(s for s in self._design.sensors if s in self._others.knows),
             self._ticks.count, self._ticks.left_out, self._stand_in.estimates,
             MappingProxyType(dict(self._clock.jumps)),
             self._starts + sum(self._bank.jumps.values()), still, self._commands.states(counts))

@@ -8,6 +8,7 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.channel import Channel
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.events import Message, Remark
+from vsensor_ros.engine.own_isolator import OwnIsolator
 from vsensor_ros.engine.stream import is_absent, Stream
 from vsensor_ros.reason import Reason
 
@@ -18,12 +19,13 @@ MOST_REMARKS = 1000  # kept for people
 class Intake:
     """Takes readings; counts what is not used, of commands too, by channel and reason."""
 
-    def __init__(self, bank: Bank, clock: Clock) -> None:
+    def __init__(self, bank: Bank, clock: Clock, own: OwnIsolator | None = None) -> None:
+        """Begin; own: the engine's own isolator, which takes all readings, too."""
         self.held: dict[str, float] = {}  # by sensor: the last value worth holding
         self._counts: Counter[tuple[str, Reason]] = Counter()
         self._remarks: deque[Remark] = deque(maxlen=MOST_REMARKS)
         self._counted: dict[tuple[str, Reason], None] = {}  # since people were told last
-        self._bank, self._clock = bank, clock
+        self._bank, self._clock, self.own = bank, clock, own
         self._last: dict[str, int] = {}  # by sensor: its last stamp
         self._long: dict[str, int] = {}  # by sensor: long intervals in a row
         self._slow: set[str] = set()  # sensors that were said to be
@@ -90,6 +92,8 @@ class Intake:
     def _feed(self, channel: Channel, stamp: int, value: float, now: int) -> None:
         name = channel.name
         reason = self._bank.take(name, stamp, value, now)
+        if self.own is not None:
+            self.own.take(name, stamp, value, now)
         if reason is None:
             self.held[name] = value
             before, self._last[name] = self._last.get(name, stamp), stamp

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from vsensor_ros.bank import End
 from vsensor_ros.engine.policy import Policy
+from vsensor_ros.isolator import Settings as IsolatorSettings
 from vsensor_ros.observers import Design
 
 
@@ -45,3 +46,4 @@ class Setup:
     command_ends: Mapping[str, End] = field(default_factory=dict)  # of those that may end
     # s before the loss of a sensor in which it is not believed afterwards; default: the bank's
     guard: Mapping[str, float] = field(default_factory=dict)
+    isolator: IsolatorSettings | None = None  # None: nobody but others isolates

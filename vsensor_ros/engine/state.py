@@ -48,6 +48,7 @@ class ChannelState:
     reserve_deviation: float = math.inf  # as it is now
     rehearsed: Rehearsal | None = None  # beside the healthy sensor, lately; None: not yet
     remaining_s: float = math.inf  # until it is no longer good enough; inf: that is not to come
+    isolated_by: tuple[str, ...] = ()  # who says that it is faulty: 'isolation', 'isolator'
 
 
 @dataclass(frozen=True)

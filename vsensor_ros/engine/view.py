@@ -73,12 +73,13 @@ class View:
                                      said[1], would.source is Source.VIRTUAL))
         return found
 
-    def channels(self, switch: Switch, isolated: Mapping[str, int], counts: Counts,
+    def channels(self, switch: Switch, isolated: Mapping[str, int],
+                 blamed: Mapping[str, tuple[str, ...]], counts: Counts,
                  standstill: Reason | None) -> tuple[ChannelState, ...]:
         """
         Return how each channel is, stream by stream.
 
-        isolated: since when, as time lasts. counts: what was not used or sent. standstill: why
+        isolated: since when, as time lasts. blamed: by whom they are. counts: what was not used or sent. standstill: why
         time does not go on.
         """
         outside = by_channel(((name, key), n) for (key, name), n in
@@ -89,6 +90,7 @@ class View:
             replace(self._state(switch, stream, channel, isolated.get(channel.name), standstill),
                     outside_domain=sum(outside.get(channel.name, {}).values()),
                     restarts=sum(restarts.get(channel.name, {}).values()),
+                    isolated_by=blamed.get(channel.name, ()),
                     counts=MappingProxyType(dict(counts.get(channel.name, {}))))
             for stream in self._streams for channel in stream.channels)
 

@@ -120,6 +120,11 @@ class Isolator:
         return self._verdict
 
     @property
+    def verdict(self) -> Verdict:
+        """What is known by now."""
+        return self._verdict
+
+    @property
     def learning(self) -> bool:
         """Whether nothing is wrong, so that this is what the healthy machine shows."""
         return not self._diagnosis.stands
