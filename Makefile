@@ -11,6 +11,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH RMW_IMPLEMENTATION _ROS_WHEELS_BO
 unexport PYTHONDONTWRITEBYTECODE  # or all is compiled anew in each process
 export AMENT_PREFIX_PATH := $(CURDIR)/.venv
 export ROS_LOG_DIR := $(CURDIR)/build/log
+export ROS_HOME := $(CURDIR)/build/ros
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export FASTRTPS_DEFAULT_PROFILES_FILE := $(CURDIR)/config/fastdds_localhost.xml
 # What `make inject` plays.

@@ -14,7 +14,7 @@ sys.path.append(str(Path(__file__).parent))
 from managed_rig import KEPT, machines
 
 KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', 'offset',
-        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'recovering_s',
+        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'isolated_by', 'recovering_s',
         'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts', 'readings_hz',
         'not_used', 'reason', 'reserve', 'reserve_reason', 'reserve_worth', 'reserve_deviation',
         'reserve_mean', 'reserve_rms', 'reserve_worst', 'reserve_within', 'reserve_compared_s',

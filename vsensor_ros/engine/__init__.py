@@ -23,6 +23,7 @@ from vsensor_ros.engine.switch import Switch
 
 __all__ = [
     'ANYBODYS',
+    'SOURCE',
     'Bumpless',
     'CannotServe',
     'ChannelState',
@@ -39,7 +40,6 @@ __all__ = [
     'Policy',
     'Remark',
     'Reserve',
-    'SOURCE',
     'Setup',
     'Source',
     'StreamPlan',

@@ -291,6 +291,8 @@ class Engine:
             self._silence()
         if self._own is not None and self._own.step(self._clock.now):
             self._turned = self._found = True
+            for why, subject in self._own.news():
+                self._intake.say('warning', why, subject)
             if self._new_report():
                 self._switch = self._isolate(self._clock.lasting())
         lag = self._lag()

@@ -75,6 +75,14 @@ class OwnIsolator:
             self.verdict = self._isolator.step(time, readings, estimates)
         return self._changed()
 
+    def news(self) -> list[tuple[Reason, object]]:
+        """Return what people should hear of the verdict, each with what it is about."""
+        told: list[tuple[Reason, object]] = [
+            (fault.reason(self.verdict.time), (SOURCE, fault.sensor, fault.kind))
+            for fault in self.verdict.faults]
+        return told + [(why, (SOURCE, why.code)) for why in self.verdict.reasons
+                       if why.code in ('fault ambiguous', 'fault of model')]
+
     def clear(self, names: tuple[str, ...]) -> bool:
         """Believe sensors again; tell whether one was blamed."""
         blamed = [name for name in names if name in self.verdict.faulty]

@@ -79,8 +79,8 @@ class View:
         """
         Return how each channel is, stream by stream.
 
-        isolated: since when, as time lasts. blamed: by whom they are. counts: what was not used or sent. standstill: why
-        time does not go on.
+        isolated: since when, as time lasts. blamed: by whom they are. counts: what was not used
+        or sent. standstill: why time does not go on.
         """
         outside = by_channel(((name, key), n) for (key, name), n in
                              self._bank.outside_domain.items())

@@ -3,6 +3,7 @@
 from vsensor_ros.isolator.isolator import Isolator
 from vsensor_ros.isolator.record import load, save
 from vsensor_ros.isolator.settings import Settings
-from vsensor_ros.isolator.verdict import Fault, Verdict
+from vsensor_ros.isolator.verdict import Fault, HEALTHY, ISOLATED, MODEL, Verdict
 
-__all__ = ['Fault', 'Isolator', 'Settings', 'Verdict', 'load', 'save']
+__all__ = ['HEALTHY', 'ISOLATED', 'MODEL', 'Fault', 'Isolator', 'Settings', 'Verdict', 'load',
+           'save']

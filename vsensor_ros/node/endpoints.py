@@ -17,7 +17,7 @@ from vsensor_ros.node.disowned import heed_marks
 from vsensor_ros.node.field_path import message_type
 from vsensor_ros.node.known import DIAGNOSTICS, USE
 from vsensor_ros.node.orientation import TURNING
-from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, STATUS
+from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ESTIMATES, ISOLATION, STATUS
 from vsensor_ros.node.stamp import compile_stamps, Stamp
 from vsensor_ros.observers import Design
 
@@ -67,7 +67,7 @@ class Endpoints:
                   *((s.output, 'publisher') for s in self.sensors),
                   *((c.topic, 'subscription') for c in self.commands),
                   *((node.resolve_topic_name(topic), 'publisher')
-                    for topic in (DIAGNOSTICS_TOPIC, STATUS, ESTIMATES))]
+                    for topic in (DIAGNOSTICS_TOPIC, STATUS, ESTIMATES, ISOLATION))]
         if self.isolation is not None:
             topics.append((self.isolation, 'subscription'))
         return list(dict.fromkeys(topics))
@@ -101,7 +101,8 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
         if field is not None and topic is not None:
             commands.append(Command(name, topic, *field, publisher))
     isolation = resolve(values.get('isolation.topic'), 'isolation.topic')
-    if isolation in (own := [node.resolve_topic_name(topic) for topic in (STATUS, ESTIMATES)]):
+    own = [node.resolve_topic_name(topic) for topic in (STATUS, ESTIMATES, ISOLATION)]
+    if isolation in own:
         problems.append(BadInput(where, 'isolation.topic', f'{isolation} is what this node says',
                                  'name the topic of whoever finds the faults'))
     problems.extend(_crossed(sensors, where))

@@ -11,13 +11,14 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.bank import GUARD, LONGEST_GUARD
+from vsensor_ros.isolator.settings import MODES, RECOVERIES
 from vsensor_ros.observers import Design
 
 WITHOUT_ESTIMATE = ('stop', 'hold', 'nan', 'pass')
 RECOVERY = ('automatic', 'hold', 'latched')
 SILENT = ('wait', 'replace')
 AT_END = ('hold', 'invalid')
-AUTO = 'auto'
+AUTO, NONE = 'auto', 'none'
 REFUSE, USE = DISOWNED = ('refuse', 'use')
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 TEXT = 'std_msgs/msg/String'
@@ -139,6 +140,23 @@ GENERAL: Mapping[str, Known] = {
                             choices=(DIAGNOSTICS, TEXT)),
     'isolation.names': Known(
         list, [''], 'names by which isolation speaks of a sensor, beside its own: NAME=SENSOR'),
+    'isolator.mode': Known(
+        str, 'advise', "what becomes of the node's own isolator, for which a design needs "
+        '--isolate: off, advise (it says who failed), act (who failed is replaced)',
+        choices=MODES),
+    'isolator.false_alarms_per_day': Known(
+        float, 1.0, 'false alarms of the isolator that are put up with', '1/day', 1e-6, 1e4),
+    'isolator.model_error': Known(
+        float, 0.1, 'share of motion beyond what was learnt by which the isolator is more '
+        'careful', '', 0.0, 1.0),
+    'isolator.recovery': Known(
+        str, 'hold', 'when the isolator believes a sensor again: hold (when cleared by '
+        'service), return (when it has come back for the dwell)', choices=RECOVERIES),
+    'isolator.dwell': Known(
+        float, 10.0, 'time for which a sensor must have come back', 's', 0.0, 86400.0),
+    'isolator.record': Known(
+        str, AUTO, 'file with what the isolator has learnt; auto: one of this node and design '
+        'in the folder of ROS; none: it is not kept'),
     'without_estimate': Known(
         str, 'stop', 'what goes out for a failed sensor that no virtual sensor replaces: '
         'stop (nothing), hold (the last value), nan, pass (the failed reading)',
@@ -204,6 +222,9 @@ def named(design: Design) -> dict[str, Known]:
         known[f'sensors.{name}.guard'] = Known(
             float, GUARD, f'time before the loss of {name} in which it may have been faulty '
             'already: its last good readings are from before that', 's', 0.0, LONGEST_GUARD)
+        known[f'sensors.{name}.smallest_fault'] = Known(
+            float, 0.0, f'fault of {name} that the isolator has to find; it says when it cannot; '
+            '0 for none', 'of the channel', 0.0, 1e12)
         for key, general in OVERRIDES.items():
             known[f'sensors.{name}.{key}'] = _override(name, general)
     return known

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import difflib
+from hashlib import sha256
 import os
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import End
 from vsensor_ros.engine import Live, Policy
 from vsensor_ros.engine.isolation_names import Names, Wrong
+from vsensor_ros.isolator import Settings as IsolatorSettings
 from vsensor_ros.node.endpoints import (
     Command,
     Endpoints,
@@ -69,6 +71,9 @@ class Settings:
     live: Live
     command_ends: Mapping[str, End]  # of those that do not hold for ever
     guard: Mapping[str, float]  # s, by sensor
+    isolator: IsolatorSettings
+    isolator_record: str  # path, auto or none
+    design_hash: str  # of the file
     for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
@@ -89,10 +94,11 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
                                  'false', 'give one of them'))
     known = dict(GENERAL)
     values = _check(known, given, where, problems)
-    design = None
+    design, design_hash = None, ''
     try:
         if 'design_file' in values:
-            design = _load(_find(values['design_file'], source_of('design_file', blocks, where)))
+            path = _find(values['design_file'], source_of('design_file', blocks, where))
+            design, design_hash = _load(path), sha256(Path(path).read_bytes()).hexdigest()
     except BadInput as problem:
         problems.append(problem)
     if design is not None:
@@ -122,7 +128,8 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         max(values['max_jump'], JUMP / values['rate']), values['autostart'],
         endpoints.isolation, values['isolation.type'], names, endpoints.sensors,
         endpoints.commands, _live(design, values), _command_ends(design, values),
-        {s: values[f'sensors.{s}.guard'] for s in design.sensors}, tuple(others))
+        {s: values[f'sensors.{s}.guard'] for s in design.sensors}, _isolator(design, values),
+        values['isolator.record'], design_hash, tuple(others))
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:
@@ -274,6 +281,15 @@ def _command_ends(design: Design, values: Mapping[str, Any]) -> dict[str, End]:
                              at_end if isinstance(at_end, float) else None,
                              only_periodic=age == '' and at_end == '')
     return ends
+
+
+def _isolator(design: Design, values: Mapping[str, Any]) -> IsolatorSettings:
+    """Return what the parameters of the node's own isolator amount to."""
+    smallest = {s: values[f'sensors.{s}.smallest_fault'] for s in design.sensors}
+    return IsolatorSettings(
+        **{key: values[f'isolator.{key}'] for key in (
+            'mode', 'false_alarms_per_day', 'model_error', 'recovery', 'dwell')},
+        smallest_fault={s: value for s, value in smallest.items() if value})
 
 
 def _live(design: Design, values: Mapping[str, Any]) -> Live:

@@ -20,6 +20,7 @@ from vsensor_ros.node.known import Known
 DIAGNOSTICS_TOPIC = '/diagnostics'
 STATUS = '~/status'
 ESTIMATES = '~/estimates'
+ISOLATION = '~/isolation'
 QOS = 'qos_overrides'  # what their names begin with
 DEEPEST = 1000  # messages kept for a topic: more is memory that nobody bounds
 SHORTEST, LONGEST = 10**6, 86400 * 10**9  # ns; the middleware has a timer of each of these times

@@ -22,17 +22,17 @@ from vsensor_ros.engine import (
     Composition,
     Engine,
     EngineState,
-    IsolationSource,
     Live,
     Setup,
     Substitute,
-    together,
 )
+from vsensor_ros.isolator import Settings as IsolatorSettings
 from vsensor_ros.node.cdr import Reader
 from vsensor_ros.node.endpoints import Command, Sensor
 from vsensor_ros.node.estimates import Estimates
 from vsensor_ros.node.inlet import Inlet
 from vsensor_ros.node.intake import not_sent, take_commands, take_readings
+from vsensor_ros.node.isolation_record import IsolationRecord
 from vsensor_ros.node.log import Log
 from vsensor_ros.node.pace import Health, Pace
 from vsensor_ros.node.parameters import DIAGNOSTICS, Refused, Settings
@@ -75,13 +75,15 @@ class Replacer:
         self._time: Callable[[], int | None] = time.time_ns if clock is None else clock.read
         self.topics = open_topics(node, group, settings.sensors)
         self.engine = self._start_engine(self.topics)
+        self.record = IsolationRecord(settings.isolator_record, node.get_fully_qualified_name(),
+                                      settings.design_hash, self.log)
+        self.record.load(self.engine)
         names = settings.isolation_names
         self.reports = Reports(
             node, group, settings.isolation_topic,
             Statuses(names, settings.isolation_topic == DIAGNOSTICS_TOPIC)
             if settings.isolation_type == DIAGNOSTICS else Text(names), names,
             lambda text, subject: self.log.say(text, subject=subject))
-        self.sources: tuple[IsolationSource, ...] = (self.reports,)
         self.start = Start(self.reports, self.engine.heard_any,
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
@@ -118,13 +120,29 @@ class Replacer:
             return Engine(Setup(
                 settings.design, settings.rate, settings.max_age, settings.jump_ahead,
                 tuple(topic.plan for topic in topics), self.simulated, settings.live,
-                settings.command_ends, settings.guard))
+                settings.command_ends, settings.guard, self._isolator()))
         except BadInput as error:
             raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
                                     error.problem, error.mend)]) from None
 
+    def _isolator(self) -> IsolatorSettings | None:
+        """Return what the own isolator is told; None: who only may have one has none."""
+        settings, found = self.settings.isolator, self.settings.design.isolability
+        if settings.mode == 'advise' and (found is None or not found.residuals):
+            self.log.say('isolator: none, because no residual of the design tells of a fault; '
+                         'make it with designer --isolate', 'info')
+            return None
+        return settings
+
+    def keep_record(self) -> None:
+        """Save what the isolator has learnt; only copying it takes the lock."""
+        with self.lock:
+            learnt = self.engine.learnt()
+        self.record.save(learnt)
+
     def close(self) -> None:
         """Close all topics; nothing may poll any more."""
+        self.keep_record()
         with self.lock:
             for subscription in self.subscriptions:
                 self.node.destroy_subscription(subscription)
@@ -230,7 +248,7 @@ class Replacer:
 
     def _take_isolation(self) -> int:
         self.reports.take(self.engine.now)
-        self._send(self.engine.isolate(together(*(s.report() for s in self.sources))))
+        self._send(self.engine.isolate(self.reports.report()))
         return 0
 
     def _tick(self) -> None:

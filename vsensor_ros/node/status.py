@@ -39,12 +39,14 @@ from vsensor_ros.node.graph import (
     publishers,
     silent_isolation,
 )
+from vsensor_ros.node.isolation_record import EVERY
 from vsensor_ros.node.pace import Health
 from vsensor_ros.node.parameters import DIAGNOSTICS
-from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, qos_options, STATUS
+from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ISOLATION, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
 from vsensor_ros.node.reserve import Chance, chance, look_for, origins_of, without_reserve, worth
+from vsensor_ros.node.verdicts import statuses
 
 PERIOD = 1.0  # s between two reports when nothing changes
 SOONEST = 0.1  # s between two reports, however much changes
@@ -86,8 +88,9 @@ class Reporter:
         self.node, self.replacer = node, replacer
         self.active = False
         # what it says of itself is its own: two of one name would be taken for one
-        self.ends = (*ends_of(replacer.settings),
-                     End(node.resolve_topic_name(STATUS), DIAGNOSTICS, True))
+        self.ends = (*ends_of(replacer.settings), *(
+            End(node.resolve_topic_name(topic), DIAGNOSTICS, True)
+            for topic in (STATUS, ISOLATION)))
         self.topics = {s.name: {s.input, s.output} for s in replacer.settings.sensors}
         settings = replacer.settings
         self._isolation = End(settings.isolation_topic, settings.isolation_type, False)
@@ -109,9 +112,13 @@ class Reporter:
         self.diagnostics = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10),
             qos_overriding_options=qos_options())
+        self.isolation = None if replacer.engine.verdict is None else node.create_publisher(
+            DiagnosticArray, ISOLATION, _copy(KEPT), qos_overriding_options=qos_options())
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on when simulated time stops
         self._timers = [node.create_timer(PERIOD, self.report, clock=steady),
                         node.create_timer(LOOK, self.look_around, clock=steady)]
+        if self.isolation is not None:
+            self._timers.append(node.create_timer(EVERY, replacer.keep_record, clock=steady))
         self._guard = node.create_guard_condition(self._hurry)
         replacer.changed = self._guard.trigger
 
@@ -125,8 +132,9 @@ class Reporter:
         for timer in self._timers:
             self.node.destroy_timer(timer)
         self.node.destroy_guard_condition(self._guard)
-        for publisher in (self.status, self.diagnostics):
-            self.node.destroy_publisher(publisher)
+        for publisher in (self.status, self.diagnostics, self.isolation):
+            if publisher is not None:
+                self.node.destroy_publisher(publisher)
 
     def _hurry(self) -> None:
         """Report a change at once, or as soon as one may."""
@@ -151,6 +159,7 @@ class Reporter:
         with self.replacer.lock:
             engine, health = self.replacer.snapshot(), self.replacer.health()
             strangers = self.replacer.reports.strangers()
+            verdict = self.replacer.engine.verdict
             state = 'inactive' if not self.active else \
                 'starting' if self.replacer.start.waits else 'active'
         channels = engine.channels
@@ -178,6 +187,11 @@ class Reporter:
             [*((prefix + c.name, r, channel_facts(c, scene, rates.get(c.name, math.nan)))
                for c, r in told),
              (prefix + LOOP, loop, pace)], stamp))
+        if self.isolation is not None and verdict is not None:
+            settings = self.replacer.settings
+            self.isolation.publish(encode(statuses(
+                verdict, settings.design.sensors, prefix.removesuffix(': '),
+                settings.isolator.mode), stamp))
         for channel, told_now in told:
             self._log(told_now, now)
             self._log_reserve(channel, scene, now)
@@ -237,8 +251,9 @@ class Reporter:
         """Look at the graph; what is wrong at two looks is said: half discovered looks wrong."""
         heard = publishers(self.node, self._inputs)
         seen = set(complaints(self.node, self.ends))
-        seen.update(silent_isolation(
-            self.node, self._isolation, heard[self._isolation.topic]))
+        if self.replacer.settings.isolator.mode != 'act':
+            seen.update(silent_isolation(
+                self.node, self._isolation, heard[self._isolation.topic]))
         with self.replacer.lock:
             for inlet in self.replacer.inlets:
                 seen.update(inlet.complaints(heard[inlet.topic]))
@@ -289,6 +304,7 @@ def _status_facts(channel: ChannelState, rate: float) -> Mapping[str, object]:
         'since_s': f'{channel.since_s:.3f}',
         'forced': str(channel.forced).lower(),
         'isolated_s': f'{channel.isolated_s:.3f}',
+        'isolated_by': ' '.join(channel.isolated_by),
         'recovering_s': f'{channel.recovering_s:.3f}',
         'residual': number(channel.residual),
         'low': number(low),
