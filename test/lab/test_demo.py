@@ -25,23 +25,23 @@ from vsensor_ros.simulate.judge import Heard
 from vsensor_ros.simulate.recording import NoRecording
 
 CONFIG = Path(__file__).parents[2] / 'config'
-GOOD = Row('tank', 'y1', 2, 4.25, 0.0012, 0.61, 'm')
-BAD = Row('oven', 'T1', 1, None, None, float('nan'), 'degC')
+GOOD = Row('tank', 'y1', 2, 1004.0, 4.25, 0.0012, 0.61, 'm')
+BAD = Row('oven', 'T1', 1, None, None, None, float('nan'), 'degC')
 
 
 def test_summary_is_valid_json_and_complete(tmp_path):
     write_summary(tmp_path / 'summary.json', [GOOD, BAD])
     records = json.loads((tmp_path / 'summary.json').read_text(), parse_constant=pytest.fail)
-    assert records[0] == {'system': 'tank', 'failed_sensor': 'y1', 'order': 2, 'latency_ms': 4.25,
-                          'rmse': 0.0012, 'rmse_hold': 0.61, 'unit': 'm'}
+    assert records[0] == {'system': 'tank', 'failed_sensor': 'y1', 'order': 2, 'fault_ms': 1004.0,
+                          'latency_ms': 4.25, 'rmse': 0.0012, 'rmse_hold': 0.61, 'unit': 'm'}
     assert (records[1]['rmse'], records[1]['rmse_hold']) == (None, None)
     assert [path.name for path in tmp_path.iterdir()] == ['summary.json']
 
 
 def test_table_says_who_failed():
     good, bad = table([Result(GOOD, 0.002, '', True), Result(BAD, 0.8, '', False)]).split('\n')[3:]
-    assert good.split() == ['tank', 'y1', '2', '4.25', 'ms', '0.0012', 'm', '0.61', 'm', '0.002',
-                            'm', 'ok']
+    assert good.split() == ['tank', 'y1', '2', '1e+03', 'ms', '4.25', 'ms',
+                            '0.0012', 'm', '0.61', 'm', '0.002', 'm', 'ok']
     assert 'none' in bad and bad.endswith('FAILED')
 
 

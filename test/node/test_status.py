@@ -14,11 +14,11 @@ sys.path.append(str(Path(__file__).parent))
 from managed_rig import KEPT, machines
 
 KEYS = {'source', 'valid', 'fault_set', 'grade', 'value', 'unit', 'deviation', 'offset',
-        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'isolated_by', 'recovering_s',
-        'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts', 'readings_hz',
-        'not_used', 'reason', 'reserve', 'reserve_reason', 'reserve_worth', 'reserve_deviation',
-        'reserve_mean', 'reserve_rms', 'reserve_worst', 'reserve_within', 'reserve_compared_s',
-        'remaining_s'}
+        'switches', 'last_step', 'virtual_s', 'since_s', 'forced', 'isolated_s', 'isolated_by',
+        'recovering_s', 'residual', 'low', 'high', 'outside_region', 'outside_domain', 'restarts',
+        'readings_hz', 'not_used', 'reason', 'reserve', 'reserve_reason', 'reserve_worth',
+        'reserve_deviation', 'reserve_mean', 'reserve_rms', 'reserve_worst', 'reserve_within',
+        'reserve_compared_s', 'remaining_s'}
 NODE_KEYS = {'state', 'rate', 'achieved', 'step_p50', 'step_p99', 'step_max', 'jitter_p99',
              'overruns', 'ticks', 'estimates', 'starts', 'faulty', 'not_used'}
 

@@ -89,7 +89,9 @@ def judge_balance(story: Balance, plant: Plant, alone: Watched, replaced: Watche
     held = replaced.said[story.step(story.failed_at), column]
     rmse = float(np.sqrt(np.mean((told - truth) ** 2)))
     row = BalanceRow(
-        system, failed, order, replaced.latency_ms, rmse,
+        system, failed, order, None if replaced.latency_ms is None else
+        1e3 * (story.isolated_at - story.failed_at) + replaced.latency_ms,
+        replaced.latency_ms, rmse,
         float(np.sqrt(np.mean((held - truth) ** 2))), plant.units.get(failed, ''),
         None if alone.fell_at is None else alone.fell_at - story.failed_at,
         (story.end if replaced.fell_at is None else replaced.fell_at) - story.failed_at)

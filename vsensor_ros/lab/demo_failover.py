@@ -75,6 +75,8 @@ def fail_over(scenario: Scenario, config: Path, design_file: Path, work: Path,
     table = work / f'{config.name}.table.csv'
     write_table(table, scenario.channels)
     changed: dict[str, object] = {'design_file': str(design_file)}
+    if scenario.alone:
+        changed |= {'isolator.mode': 'act', 'isolator.record': 'none'}
     if scenario.speed != 1.0:
         changed['use_sim_time'] = True
     with ExitStack() as stack:
@@ -164,7 +166,8 @@ class _Listener:
             now = scenario.start + (wall - self.began) * scenario.speed
             if isolated is None and now >= scenario.isolated_at:
                 isolated = time.monotonic()
-                self.isolate()
+                if not scenario.alone:
+                    self.isolate()
             for message, _ in take_all(self.output):
                 value = self.port.field.get(message)
                 if isinstance(value, float):
@@ -175,7 +178,8 @@ class _Listener:
             if wall - shown > 0.1:
                 shown = wall
                 value = self.heard[-1][1] if self.heard else np.nan
-                progress(Moment(min(now, scenario.end), value, isolated is not None))
+                known = bool(self.deviation) if scenario.alone else isolated is not None
+                progress(Moment(min(now, scenario.end), value, known))
                 for process in processes:
                     process.check(0, LATE_CODE)
             time.sleep(POLL)

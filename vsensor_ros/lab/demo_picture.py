@@ -55,7 +55,9 @@ def draw(scenario: Scenario, heard: Heard, deviation: NDArray[np.float64], verdi
     for (begin, kind), end in zip(scenario.marks, ends):
         above.text((begin + end) / 2, 0.98, f'sensor {WORDS.get(kind, kind)}', ha='center',
                    va='top', color=RAW, fontsize=11, transform=above.get_xaxis_transform())
-    above.text(scenario.isolated_at, 0.02, ' isolated here', transform=above.get_xaxis_transform())
+    above.text(scenario.isolated_at, 0.02,
+               ' nobody isolates it' if scenario.alone else ' isolated here',
+               transform=above.get_xaxis_transform())
     above.set_ylabel(f'{name} [{unit}]')
     above.set_xlim(*view)
     above.legend(loc='lower left', bbox_to_anchor=(-0.01, 1.0), ncols=4, frameon=False)
@@ -78,7 +80,7 @@ def draw(scenario: Scenario, heard: Heard, deviation: NDArray[np.float64], verdi
     else:
         outcome = (f'RMSE {verdict.rmse:.2g} {unit}, not {verdict.rmse_hold:.2g} {unit} as with '
                    f'the last value held; first replacement {verdict.latency_ms:.1f} ms after '
-                   'isolation')
+                   f'{"the fault" if scenario.alone else "isolation"}')
     figure.suptitle(f'{scenario.title}\n{"" if verdict.passed else "FAILED: "}{outcome}',
                     x=0.01, ha='left', fontsize=12)
     figure.savefig(path, dpi=110)

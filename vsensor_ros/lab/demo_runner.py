@@ -28,25 +28,26 @@ from vsensor_ros.simulate.recording import NoRecording
 from vsensor_ros.simulate.scenario import load_scenario, Scenario
 
 
-def show(folder: Path, output: Path, say: Callable[[str], None],
+def show(story: Path, output: Path, say: Callable[[str], None],
          update: Callable[[str], None]) -> Result:
     """
-    Run the system of a config folder; write its design, log and picture to `output`.
+    Run a story of the system in its folder; write its design, log and picture to `output`.
 
     `say` gets lines that stay, `update` the one that changes. Raise BadInput or Failed.
     """
-    system = folder.name
-    update('designing the virtual sensors')
+    folder = story.parent
+    system = f'{folder.name}{story.stem.removeprefix("demo")}'
     plant = load_plant(folder / 'plant.yaml')
-    result = design(plant)
+    update('computing the truth')
+    scenario = load_scenario(story, plant)
+    update('designing the virtual sensors')
+    result = design(plant, isolate=scenario.alone)
     design_file = output / f'{system}.design.json'
     result.save(design_file)
-    update('computing the truth')
-    scenario = load_scenario(folder / 'demo.yaml', plant)
     failed = scenario.failed_sensor
     virtual = result[(failed,), failed]
     if isinstance(virtual, Refusal):
-        raise BadInput(folder / 'demo.yaml', 'failed_sensor', f'{failed} cannot be replaced: '
+        raise BadInput(story, 'failed_sensor', f'{failed} cannot be replaced: '
                        f'{virtual.reason}', 'let another sensor fail')
     say(f'{scenario.title}: {failed} out of {", ".join(virtual.reads + virtual.commands)}, '
         f'order {virtual.order}'
@@ -75,8 +76,11 @@ def show(folder: Path, output: Path, say: Callable[[str], None],
         say(f'  {line}')
     update('drawing the picture')
     draw(scenario, run.heard, run.deviation, verdict, output / f'{system}.png')
-    row = Row(system, failed, virtual.order, verdict.latency_ms, verdict.rmse, verdict.rmse_hold,
-              scenario.unit)
+    waited = 1e3 * (scenario.isolated_at - scenario.failed_at) / scenario.speed
+    row = Row(system, failed, virtual.order,
+              None if verdict.latency_ms is None else waited + verdict.latency_ms,
+              None if scenario.alone else verdict.latency_ms,
+              verdict.rmse, verdict.rmse_hold, scenario.unit)
     return Result(row, scenario.bar, f'the RMSE allowed is {scenario.bar_text}', verdict.passed)
 
 
@@ -178,7 +182,8 @@ def show_all(systems: Sequence[str], output: Path) -> int:
                 if is_balance(folder / 'demo.yaml'):
                     results += show_balance(folder, output, screen.say, screen.update)
                 else:
-                    results.append(show(folder, output, screen.say, screen.update))
+                    results += [show(story, output, screen.say, screen.update)
+                                for story in sorted(folder.glob('demo*.yaml'))]
             except (BadInput, Failed) as problem:
                 not_shown.append(f'{name} is not shown: {problem}')
                 screen.say(f'  {not_shown[-1]}')

@@ -17,7 +17,8 @@ class Row:
     system: str
     failed_sensor: str
     order: int
-    latency_ms: float | None    # from the isolation message to the first replaced message
+    fault_ms: float | None      # from the fault to the first replaced message
+    latency_ms: float | None    # from the isolation message; None: nobody told
     rmse: float | None          # of the replacement, against the truth at the same stamps
     rmse_hold: float | None     # of the last reading before the fault, at the same stamps
     unit: str
@@ -35,14 +36,16 @@ class Result:
 
 def table(results: Sequence[Result]) -> str:
     """Return the closing table as text."""
-    head = ['system', 'failed', 'order', 'isolation to', 'RMSE of', 'RMSE of last', 'allowed', '']
-    second = ['', 'sensor', '', 'replaced', 'replacement', 'value held', 'RMSE', '']
+    head = ['system', 'failed', 'order', 'fault to', 'isolation to', 'RMSE of', 'RMSE of last',
+            'allowed', '']
+    second = ['', 'sensor', '', 'replaced', 'replaced', 'replacement', 'value held', 'RMSE', '']
     lines = [head, second]
     for result in results:
         row = result.row
         lines.append([row.system, row.failed_sensor, str(row.order),
-                      _number(row.latency_ms, 'ms'), _number(row.rmse, row.unit),
-                      _number(row.rmse_hold, row.unit), _number(result.bar, row.unit),
+                      _number(row.fault_ms, 'ms'), _number(row.latency_ms, 'ms'),
+                      _number(row.rmse, row.unit), _number(row.rmse_hold, row.unit),
+                      _number(result.bar, row.unit),
                       'ok' if result.passed else 'FAILED'])
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     texts = ['  '.join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip()

@@ -16,6 +16,7 @@ from vsensor_ros.simulate.section import Section
 
 TRUTH_PER_SAMPLE = 5    # the truth is computed this much finer than the sensors sample
 
+ALONE = 'by itself'  # in place of a time: nobody isolates the sensor
 _KEYS = {'title', 'failed_sensor', 'faults', 'isolated_at', 'speed', 'bar'}
 _RECORDING = {'file', 'url', 'sha256', 'sample_time', 'first', 'last', 'columns'}
 
@@ -41,6 +42,7 @@ class Scenario:
     channels: dict[str, Recorded]
     truth: Recorded
     marks: tuple[tuple[float, str], ...]   # (start, kind) of each fault, in time
+    alone: bool = False   # nobody isolates it: the replacer's own isolator has to
 
     @property
     def start(self) -> float:
@@ -100,10 +102,12 @@ def load_scenario(path: Path, plant: Plant) -> Scenario:
                f'{plant.units.get(failed, "")}'.rstrip()
     elif bar.text('of') != 'unit':
         raise bar.bad('of', f'{bar.text("of")} is not known', 'write range or unit')
-    scenario = Scenario(given.text('title'), failed, plant.units.get(failed, ''),
-                        min(start for start, _ in marks), given.number('isolated_at'),
+    failed_at = min(start for start, _ in marks)
+    alone = given.content['isolated_at'] == ALONE
+    scenario = Scenario(given.text('title'), failed, plant.units.get(failed, ''), failed_at,
+                        failed_at if alone else given.number('isolated_at'),
                         given.number('speed'), bar.number('rmse') * span, text, channels, truth,
-                        tuple(sorted(marks)))
+                        tuple(sorted(marks)), alone)
     if not scenario.start < scenario.failed_at <= scenario.isolated_at < scenario.end:
         raise given.bad('isolated_at', 'start, fault, isolation, end are not in this order',
                         f'keep them between {scenario.start:g} and {scenario.end:g} s')
