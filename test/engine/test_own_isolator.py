@@ -1,0 +1,178 @@
+"""An engine that isolates by itself, on a simulated machine: nobody else tells who failed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vsensor_ros import design, Plant
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
+from vsensor_ros.isolator import Settings
+
+PERIOD = 10_000_000
+START = 1000 * 10**9
+SENSORS = ('y1', 'y2', 'y3')
+
+
+@pytest.fixture(scope='module')
+def found():
+    """Return a design that tells of each of three sensors of x' = -x + u."""
+    return design(three(), isolate=True)
+
+
+def three():
+    return Plant.from_matrices(
+        [[-1.0]], [[1.0]], [[1.0], [2.0], [3.0]], states=['x'], inputs=['u'],
+        sensors=list(SENSORS), noise=[0.01] * 3)
+
+
+class Run:
+    """An engine beside that plant, in which sensors fail."""
+
+    def __init__(self, design, mode='act', late=0, **settings):
+        self.engine = Engine(Setup(
+            design, 100.0, dict.fromkeys(SENSORS, 0.5), 10.0,
+            tuple(StreamPlan((s,), f'/{s}_raw', f'/{s}', True) for s in SENSORS), True,
+            Live('stop', 0.0, dict.fromkeys(SENSORS, Policy(dwell=0.0)),
+                 dict.fromkeys(SENSORS, 0.0)), isolator=Settings(mode, **settings)))
+        self.rng, self.now, self.x, self.late = np.random.default_rng(1), START, 1.5, late
+        self.waiting, self.sent, self.said = [], [], []
+        self.engine.look(self.now, 0.0)
+        self.engine.activate()
+
+    def go_on(self, seconds, fault=lambda readings, time: readings):
+        """Let time pass; fault: what the drivers say instead, None of one: nothing."""
+        for k in range(round(100 * seconds)):
+            self.now += PERIOD
+            u = 1.5 + np.sin(2.0 * (self.now - START) * 1e-9)
+            self.engine.look(self.now, self.now * 1e-9)
+            self.engine.command('u', u, self.now - PERIOD, self.now - PERIOD)
+            readings = fault(self.x * np.arange(1.0, 4.0) + self.rng.normal(0.0, 0.01, 3), k / 100)
+            self.x = u + (self.x - u) * np.exp(-0.01)
+            # a step of the command is held over the period: this is exact
+            self.waiting.append((self.now - PERIOD, readings))
+            while len(self.waiting) > self.late:
+                stamp, values = self.waiting.pop(0)
+                for i, value in enumerate(values):
+                    if value is not None:
+                        message = Message(stamp, (float(value),))
+                        self.engine.judge(i, message, 'message')
+                        self.engine.learn(i, message, self.now)
+            for at in self.engine.ticks():
+                for made in self.engine.tick(at):
+                    self.sent.append(made)
+                    self.engine.done(made)
+            self.said += self.engine.remarks()
+
+    def channel(self, name):
+        return next(c for c in self.engine.snapshot(self.now * 1e-9).channels if c.name == name)
+
+
+class Message:
+    foreign = False
+
+    def __init__(self, stamp, values):
+        self.stamp, self.values = stamp, values
+
+
+def biased(readings, time):
+    return readings + np.array([0.0, 0.5, 0.0])
+
+
+@pytest.mark.parametrize('late', [0, 5])
+def test_who_is_biased_is_replaced_and_the_onset_known(found, late):
+    run = Run(found, late=late)
+    run.go_on(15.0)
+    assert run.engine.verdict.state == 'healthy' and not run.sent
+    began = run.now
+    run.go_on(0.3 + 0.01 * late, biased)
+    fault, = run.engine.verdict.faults
+    assert fault.sensor == 'y2' and abs(fault.onset - began) < 0.1e9
+    assert run.channel('y2').source == 'virtual'
+    assert run.channel('y2').isolated_by == ('isolator',)
+    # what goes out is the truth, not what the sensor says
+    run.go_on(1.0, biased)
+    (_, said), = run.sent[-1].fields
+    assert said.value == pytest.approx(2.0 * run.x, abs=0.05 + 0.05 * late)
+    assert any('y2: ' in str(r.what) and 'began about' in str(r.what) for r in run.said)
+
+
+def test_it_is_blamed_until_cleared_by_whom_it_is(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.go_on(1.0, biased)
+    run.engine.isolate(IsolationReport({'y2': 0}, frozenset({'y2'})))
+    assert run.channel('y2').isolated_by == ('isolation', 'isolator')
+    run.go_on(1.0)
+    with pytest.raises(ValueError, match='still reports it faulty'):
+        run.engine.clear('y2')  # others say so, too
+    assert run.channel('y2').isolated_by == ('isolation',)
+    run.engine.isolate(IsolationReport({}, frozenset({'y2'})))
+    run.go_on(0.1)
+    assert run.channel('y2').source == 'real' and run.engine.verdict.state == 'healthy'
+
+
+def test_a_reset_forgets_whom_it_blamed(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.go_on(1.0, biased)
+    run.go_on(0.5)
+    assert run.channel('y2').source == 'virtual'
+    run.engine.reset()
+    run.go_on(0.1)
+    assert run.channel('y2').source == 'real'
+
+
+def test_advice_replaces_nobody(found):
+    run = Run(found, 'advise')
+    run.go_on(15.0)
+    run.go_on(1.0, biased)
+    assert run.engine.verdict.faulty == ('y2',)
+    assert run.channel('y2').source == 'real' and not run.sent
+
+
+def test_what_freezes_is_stuck_though_stamps_are_off_the_grid(found):
+    run = Run(found)
+    run.now += PERIOD // 3
+    run.go_on(15.0)
+    frozen = []
+
+    def freeze(readings, time):
+        frozen.append(readings[1])
+        return [readings[0], frozen[0], readings[2]]
+    run.go_on(0.3, freeze)
+    assert [(f.sensor, f.kind) for f in run.engine.verdict.faults] == [('y2', 'stuck')]
+
+
+def test_who_falls_silent_has_dropped_out_after_its_max_age(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.go_on(0.45, lambda readings, time: [readings[0], None, readings[2]])
+    assert run.engine.verdict.state == 'healthy'
+    run.go_on(0.2, lambda readings, time: [readings[0], None, readings[2]])
+    assert [(f.sensor, f.kind) for f in run.engine.verdict.faults] == [('y2', 'drop-out')]
+    assert run.channel('y2').source == 'virtual'
+
+
+def test_a_jump_of_the_clock_blames_nobody(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.now += 20 * 10**9
+    run.go_on(5.0)
+    assert run.engine.verdict.state == 'healthy' and run.channel('y2').source == 'real'
+
+
+def test_a_second_fault_is_found_beside_the_first(found):
+    run = Run(design(three(), isolate=True, up_to=2))  # one fault at a time is not enough
+    run.go_on(15.0)
+    run.go_on(2.0, biased)
+    run.go_on(2.0, lambda readings, time: readings + np.array([-0.5, 0.5, 0.0]))
+    assert set(run.engine.verdict.faulty) == {'y1', 'y2'}
+    assert run.channel('y1').source == run.channel('y2').source == 'virtual'
+
+
+def test_a_design_without_residuals_is_refused_or_has_none(found):
+    with pytest.raises(BadInput, match='designer --isolate'):
+        Run(replace(found, isolability=None))
+    assert Run(replace(found, isolability=None), 'off').engine.verdict is None
