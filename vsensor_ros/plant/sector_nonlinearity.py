@@ -163,7 +163,8 @@ def _expanded(node: Node, where: object, key: str) -> list[Addend]:
         return inner(arguments[0]) + [(sign * s, factors) for s, factors in inner(arguments[1])]
     if node.function == '**' and arguments[1] in (Number(2.0), Number(3.0)):
         assert isinstance(arguments[1], Number)
-        once, product = inner(arguments[0]), [(1.0, ())]
+        once = inner(arguments[0])
+        product: list[Addend] = [(1.0, ())]
         for _ in range(int(arguments[1].value)):
             product = _times(product, once, where, key)
         return product
@@ -201,9 +202,9 @@ def _check(plant: Plant, made: TakagiSugeno, where: Mapping[str, tuple[float, fl
     random = np.random.default_rng(0)
 
     def points(names_: tuple[str, ...]) -> np.ndarray:
-        ends = np.array([where.get(name, (-1.0, 1.0)) for name in names_]).reshape(-1, 2)
-        ends = np.where(np.isfinite(ends), ends, [-1.0, 1.0])
-        low, high = np.minimum(*ends.T), np.maximum(*ends.T)
+        given = np.array([where.get(name, (-1.0, 1.0)) for name in names_]).reshape(-1, 2)
+        ends = np.where(np.isfinite(given), given, [-1.0, 1.0])
+        low, high = ends.min(axis=1), ends.max(axis=1)
         return low[:, None] + (high - low)[:, None] * random.random((len(names_), _POINTS))
     x, u, rho = points(plant.states), points(plant.inputs), points(plant.disturbances)
     truth = plant.rate_of_change(x, u, rho)
