@@ -121,7 +121,7 @@ def scheduled(plant: TakagiSugeno, fault_set: Sequence[str], channel: str, *, ra
     return ScheduledObserver(
         channel, tuple(fault_set), tuple(plant.sensors[i] for i in healthy), plant, Phi,
         N - proof.K @ R, J + proof.K @ Ry, Phi @ plant.B, plant.a @ Phi.T, Cv[0], Q[0], proof.S,
-        proof.rate, proof.half_width + float(abs(Q[0]) @ read), proof.left, decoupled,
+        proof.rate, proof.half_width + float(abs(Q[0, 0]) @ read), proof.left, decoupled,
         plant.ranges)
 
 
