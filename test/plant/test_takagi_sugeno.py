@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.plant import from_equations, grid_memberships, load_plant, TakagiSugeno
+from vsensor_ros.plant import (
+    from_equations,
+    grid_memberships,
+    load_plant,
+    load_takagi_sugeno,
+    TakagiSugeno,
+)
 
 CRANE = """
 name: crane
@@ -114,3 +120,59 @@ def test_grids_blend_what_is_bilinear_exactly(xs, ys):
     assert h.min() >= -1e-12
     blended = np.einsum('vk,v->k', h, made.A[:, 0, 0])
     assert blended == pytest.approx(at[0] + 2 * at[1] - at[0] * at[1], abs=1e-8)
+
+
+TANK = """
+name: tank
+time: {sample_time: 0.5}
+parameters: {k: 0.2}
+states: {level: {unit: m}, outflow: }
+inputs: {pump: }
+disturbances: {leak: }
+sensors: {gauge: level, meter: {measures: 2*outflow}}
+premises: {level: [1, 3]}
+submodels:
+  - {A: [[1 - k, 0], [k, 0.5]], B: [k, 0], D: [1, 0], membership: (3 - level)/2}
+  - {A: [[1 - 2*k, 0], [k, 0.5]], B: [k, 0], D: [1, 0], offset: [0, 1], membership: (level - 1)/2}
+"""
+GRID = TANK.replace('premises: {level: [1, 3]}', 'grid: {level: [1, 3]}').replace(
+    ', membership: (3 - level)/2', '').replace(', membership: (level - 1)/2', '')
+
+
+@pytest.mark.parametrize('text', [TANK, GRID])
+def test_submodels_are_read_from_a_file(tmp_path, text):
+    path = tmp_path / 'tank.yaml'
+    path.write_text(text)
+    tank = load_takagi_sugeno(path)
+    assert tank.sample_time == 0.5 and tank.C.tolist() == [[1, 0], [0, 2]]
+    x, u, rho = np.array([[1.5], [1.0]]), np.array([[2.0]]), np.array([[0.1]])
+    assert tank.rate_of_change(x, u, rho)[:, 0] == pytest.approx(
+        [(1 - 0.2 * 1.25) * 1.5 + 0.4 + 0.1, 0.3 + 0.5 + 0.25])
+    assert not tank.inside(np.array([[0.9, 3.1]])).any()
+
+
+@pytest.mark.parametrize('old, new, line', [
+    ('(3 - level)/2', '(4 - level)/2', 'memberships: sum to 1.5 at level = 1'),
+    ('(3 - level)/2', '(3 - pump)/2', r"submodels\[0\].membership: unknown name 'pump'"),
+    ('[1, 3]', '[3, 1]', 'premises: .*give low < high'),
+    ('[1, 3]', '[1, 2, 3]', r'premises.level: are 3 numbers; write \[low, high\]'),
+    ('{level: [1, 3]}', '{height: [1, 3]}', "premises: unknown state or input 'height'"),
+    ('premises', 'grid', r"submodels\[0\]: unknown key 'membership'"),
+    ('premises: {level: [1, 3]}', '', 'premises: must stand there, or grid, and not both'),
+    ('offset: [0, 1]', 'offset: [0]', r'submodels\[1\].offset: '),
+    ('[k, 0.5]]', '[k]]', r'submodels\[0\].A: is not 2 rows of 2 numbers'),
+    ('name: tank', '', 'name: is missing'),
+])
+def test_what_is_wrong_in_the_file_gets_one_line(tmp_path, old, new, line):
+    path = tmp_path / 'tank.yaml'
+    path.write_text(TANK.replace(old, new, 1))
+    with pytest.raises(BadInput, match=line) as raised:
+        load_takagi_sugeno(path)
+    assert str(raised.value).startswith(str(path)) and '\n' not in str(raised.value)
+
+
+def test_a_grid_has_a_submodel_for_each_point(tmp_path):
+    path = tmp_path / 'tank.yaml'
+    path.write_text(GRID.replace('[1, 3]', '[1, 2, 3]'))
+    with pytest.raises(BadInput, match='submodels: are 2; give 3, one a point of the grid'):
+        load_takagi_sugeno(path)
