@@ -89,13 +89,16 @@ def from_equations(plant: Plant, healthy: Collection[str] | None = None,
                        + ', '.join(z for z, _, _ in sectors),
                        f'keep it within {MOST_SUBMODELS}: declare fewer nonlinear addends')
     found: dict[bytes, tuple[np.ndarray, list[str]]] = {}
+    unit = 1e-12 * max(1e-300, *(abs(part).max() * max(map(abs, ends))
+                                 for _, ends, part in sectors), abs(base).max())
     for corner in itertools.product((0, 1), repeat=len(sectors)):
         matrix, h = base.copy(), []
         for (z, (low, high), part), side in zip(sectors, corner):
             matrix += (low, high)[side] * part
             above = f'(({z}) - ({low!r}))' if side else f'(({high!r}) - ({z}))'
             h.append(f'{above}/{high - low!r}')
-        found.setdefault(matrix.tobytes(), (matrix, []))[1].append('*'.join(h) or '1')
+        same = (np.rint(matrix / unit) + 0.0).tobytes()  # bounds are rounded outward
+        found.setdefault(same, (matrix, []))[1].append('*'.join(h) or '1')
     all_ = np.array([matrix for matrix, _ in found.values()])
     n, m, d = len(plant.states), len(plant.inputs), len(plant.disturbances)
     used = [name for name in (*plant.states, *plant.inputs)
