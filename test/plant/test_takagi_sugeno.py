@@ -62,7 +62,8 @@ def test_number_of_submodels_is_said_and_same_ones_are_merged(tmp_path):
     assert made.remarks == ('2 submodels of x',)
     assert sorted(made.A[:, 1, 1]) == [-2.0, 0.0]
     head = head.replace('x: {range: [0, 2]}', 'x: {range: [0, 1]}')
-    made = from_equations(plant_of(tmp_path, head + 'dynamics: {x: -x, y: -3*y + x*y + x*x*y}\n'), ('x',))
+    made = from_equations(plant_of(
+        tmp_path, head + 'dynamics: {x: -x, y: -3*y + x*y + x*x*y}\n'), ('x',))
     assert made.remarks == ('3 submodels of x, x*x; 1 coincided',)
     assert made.weights(np.array([[0.3]])).sum() == pytest.approx(1.0, abs=1e-12)
 
