@@ -55,7 +55,8 @@ def load(isolator: Isolator, path: str | Path, design: str) -> None:
     try:
         apply = _read(isolator, path, design)
     except BadInput as error:
-        raise BadInput(path, error.key, error.problem, MEND) from None
+        key = 'isolation record' if error.key == 'design file' else error.key
+        raise BadInput(path, key, error.problem, MEND) from None
     apply()
 
 
