@@ -162,7 +162,7 @@ def estimator(form: Descriptor, alphas: Sequence[float] = ALPHAS, *,
     if (calm := quietest(form)) is None:
         raise _hidden(form, 0.0)
     unit = np.sqrt(np.diag(calm[1]))[form.goal]
-    kept = {alpha: found for alpha in alphas if (found := quietest(form, alpha)) is not None}
+    kept = {alpha: one for alpha in alphas if (one := quietest(form, alpha)) is not None}
     if not kept:
         raise _hidden(form, min(alphas))
 
