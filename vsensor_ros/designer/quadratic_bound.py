@@ -62,7 +62,7 @@ class Inequalities:
         return float(np.linalg.norm(L.T @ (T @ self.G - K @ self.R) @ back, 2, (1, 2)).max())
 
     def solve(self, alpha: float, T: np.ndarray, S: np.ndarray, free: np.ndarray | None = None,
-              K: np.ndarray | None = None, solver: str = 'CLARABEL') -> Found | None:
+              K: np.ndarray | None = None) -> Found | None:
         """
         Return the form with the least sum of squared half-widths of the rows; None: none.
 
@@ -74,13 +74,13 @@ class Inequalities:
             import cvxpy  # large, and needed here only
         except ImportError:
             raise ImportError(MISSING) from None
-        if solver not in cvxpy.installed_solvers():
+        if 'CLARABEL' not in cvxpy.installed_solvers():
             raise ImportError(MISSING)
         return next((found for margin in MARGINS if (found := self._solve(
-            cvxpy, alpha, T, S, free, K, solver, margin)) is not None), None)
+            cvxpy, alpha, T, S, free, K, margin)) is not None), None)
 
     def _solve(self, cvxpy: Any, alpha: float, T: np.ndarray, S: np.ndarray,
-               free: np.ndarray | None, K: np.ndarray | None, solver: str,
+               free: np.ndarray | None, K: np.ndarray | None,
                margin: float) -> Found | None:
         N, w = len(S), self.G.shape[2] - len(S)
         L = np.linalg.cholesky(S)
@@ -108,7 +108,7 @@ class Inequalities:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter('ignore')  # of inaccuracy: what comes is checked
-                problem.solve(solver=solver)
+                problem.solve(solver='CLARABEL')
         except (cvxpy.error.SolverError, ArithmeticError, ValueError):
             return None
         if P.value is None or not np.isfinite(P.value).all():
