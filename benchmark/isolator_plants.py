@@ -7,14 +7,14 @@ ones. Shapes: m machines, n states, l sensors, r checks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.designer.dedicated import dedicated, innovations
@@ -197,59 +197,84 @@ def bank_of(case: Case) -> tuple[list[Residual], list[VirtualSensor]]:
 
 
 class Observers:
-    """All virtual sensors of a design beside m machines: held commands, readings in between."""
+    """
+    All virtual sensors of a design beside m machines: held commands, readings in between.
+
+    They are stacked to one: K states, r outputs, S smooth terms and F of dry friction.
+    """
 
     def __init__(self, sensors: list[VirtualSensor], names: tuple[str, ...], count: int) -> None:
-        self.sensors, self._states = sensors, [np.zeros((count, s.order)) for s in sensors]
-        self._columns = [[names.index(name) for name in s.healthy] for s in sensors]
-        self._steps = []
-        for s in sensors:
-            k = s.order
-            whole = np.zeros((3 * k, 3 * k))
-            whole[:k, :k], whole[:k, k:2 * k], whole[k:2 * k, 2 * k:] = (
-                PERIOD * s.N, PERIOD * np.eye(k), np.eye(k))
-            e = expm(whole)
-            self._steps.append((e[:k, :k].T, e[:k, k:2 * k].T, e[:k, 2 * k:].T))
+        columns = [[names.index(name) for name in s.healthy] for s in sensors]
+        steps = [_step(s) for s in sensors]
+        self._e, self._held, self._rising = (
+            block_diag(*(step[i] for step in steps)).T for i in range(3))
+        self._J = np.vstack([_spread(s.J, at, len(names)) for s, at in zip(sensors, columns)]).T
+        self._B, self._Phi = (np.vstack([getattr(s, key) for s in sensors]).T
+                              for key in ('B', 'Phi'))
+        self._Cv = block_diag(*(s.Cv[:1] for s in sensors)).T
+        self._Q = np.vstack([_spread(s.Q[:1], at, len(names))
+                             for s, at in zip(sensors, columns)]).T
+        starts = np.cumsum([0, *(s.order for s in sensors)])
+        terms: dict[bool, list[tuple[Floats, Floats, Floats, float]]] = {False: [], True: []}
+        for s, at, start in zip(sensors, columns, starts):
+            own = range(start, start + s.order)
+            for a in s.active:
+                terms[s.terms[a].text.startswith('sign')].append((
+                    _spread(s.Gz[a][:1], own, starts[-1])[0],
+                    _spread(s.Gy[a][:1], at, len(names))[0],
+                    _spread(s.P[:, a][None], own, starts[-1])[0], float(s.terms[a].slope[0])))
+        self._smooth, self._rubbing = (
+            tuple(np.array(part).T for part in zip(*terms[which])) if terms[which] else None
+            for which in (False, True))
+        self._z = np.zeros((count, starts[-1]))
         self._before: Floats | None = None
 
     def start(self, state: Floats) -> None:
         """Begin with what the plant's state (m, n) is."""
-        self._states = [state @ s.Phi.T for s in self.sensors]
+        self._z = state @ self._Phi
 
     def step(self, readings: Floats, commands: Floats) -> Floats:
         """Go on to these readings (m, l), by the commands (m, i) held until now; (m, r)."""
         before = readings if self._before is None else self._before
-        said = np.empty((len(readings), len(self.sensors)))
-        for i, (s, columns, (e, held, rising)) in enumerate(
-                zip(self.sensors, self._columns, self._steps)):
-            z, y0, y1 = self._states[i], before[:, columns], readings[:, columns]
-            z1 = z @ e + (y0 @ s.J.T + commands @ s.B.T) @ held + ((y1 - y0) @ s.J.T) @ rising
-            smooth = [a for a in s.active if not s.terms[a].text.startswith('sign')]
-            if smooth:
-                now = sum(self._flow(s, a, z, y0) for a in smooth)
-                guess = z1 + now @ held
-                then = sum(self._flow(s, a, guess, y1) for a in smooth)
-                z1 = z1 + (now + then) / 2 @ held
-            for a in s.active:
-                if a not in smooth:
-                    z1 = self._rubbed(s, a, z1, y1)
-            self._states[i] = z1
-            said[:, i] = z1 @ s.Cv[0] + y1 @ s.Q[0]
-        self._before = readings.copy()
-        return said
+        z = self._z @ self._e + (before @ self._J + commands @ self._B) @ self._held \
+            + ((readings - before) @ self._J) @ self._rising
+        if self._smooth is not None:
+            now = self._flow(self._z, before)
+            then = self._flow(z + now @ self._held, readings)
+            z = z + (now + then) / 2 @ self._held
+        if self._rubbing is not None:
+            z = self._rubbed(z, readings)
+        self._z, self._before = z, readings.copy()
+        return z @ self._Cv + readings @ self._Q
 
-    @staticmethod
-    def _flow(s: VirtualSensor, a: int, z: Floats, y: Floats) -> Floats:
-        """Return what a square root, less its addend, does to the states (m, k)."""
-        argument = z @ s.Gz[a][0] + y @ s.Gy[a][0]
-        return np.outer(_root(argument) - s.terms[a].slope[0] * argument, s.P[:, a])
+    def _flow(self, z: Floats, y: Floats) -> Floats:
+        """Return what square roots, less their addends, do to the states (m, K)."""
+        Gz, Gy, P, slope = self._smooth
+        argument = z @ Gz + y @ Gy
+        return (_root(argument) - slope * argument) @ P.T
 
-    @staticmethod
-    def _rubbed(s: VirtualSensor, a: int, z: Floats, y: Floats) -> Floats:
-        """Take dry friction off, implicitly in its argument."""
-        argument = z @ s.Gz[a][0] + y @ s.Gy[a][0]
-        slope = -float(s.Gz[a][0] @ s.P[:, a]) * PERIOD
-        if slope <= 0.0:  # a measured argument
-            return z + PERIOD * np.outer(np.sign(argument), s.P[:, a])
-        force = np.clip(argument / slope, -1.0, 1.0)
-        return z + PERIOD * np.outer(force, s.P[:, a])
+    def _rubbed(self, z: Floats, y: Floats) -> Floats:
+        """Take dry friction off, implicitly in its argument where that is a state."""
+        Gz, Gy, P, _ = self._rubbing
+        argument = z @ Gz + y @ Gy
+        slope = -PERIOD * (Gz * P).sum(axis=0)
+        implicit = np.clip(argument / np.where(slope > 0.0, slope, 1.0), -1.0, 1.0)
+        force = np.where(slope > 0.0, implicit, np.sign(argument))
+        return z + PERIOD * force @ P.T
+
+
+def _step(s: VirtualSensor) -> tuple[Floats, Floats, Floats]:
+    """Return what a period does to the states, by themselves, held inputs and rising ones."""
+    k = s.order
+    whole = np.zeros((3 * k, 3 * k))
+    whole[:k, :k], whole[:k, k:2 * k], whole[k:2 * k, 2 * k:] = (
+        PERIOD * s.N, PERIOD * np.eye(k), np.eye(k))
+    e = expm(whole)
+    return e[:k, :k], e[:k, k:2 * k], e[:k, 2 * k:]
+
+
+def _spread(part: Floats, columns: Sequence[int], width: int) -> Floats:
+    """Return a matrix whose columns stand where they are told, among others that are 0."""
+    whole = np.zeros((len(part), width))
+    whole[:, list(columns)] = part
+    return whole

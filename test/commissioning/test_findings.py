@@ -52,7 +52,7 @@ def use(role=INPUT, publishers=(DRIVER,), heard=None, field=None, listeners=(), 
 
 def world(**more):
     return World(**{'node': '/replacer', 'seconds': 5.0, 'topics': {}, 'used': frozenset(),
-                    'max_age': {'y': 0.5}, 'silent_is_faulty': False, 'simulated': False,
+                    'max_age': {'y': 0.5}, 'isolates': False, 'simulated': False,
                     'clock_moves': False, 'clock_publishers': (), **more})
 
 
@@ -212,7 +212,7 @@ def test_an_output_that_is_taken():
 def test_no_isolation():
     level, text = one(findings(use(ISOLATION, ()), topics={'/robot/isolation': RANGE}))
     assert level == FAIL and text.endswith('did you mean /robot/isolation?')
-    assert one(findings(use(ISOLATION, ()), silent_is_faulty=True))[0] == WARN
+    assert one(findings(use(ISOLATION, ()), isolates=True))[0] == WARN
 
 
 @pytest.mark.parametrize('more, level, words', [

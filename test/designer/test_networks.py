@@ -39,6 +39,16 @@ def grid(buses, seed, sensors):
     return A, np.eye(2 * buses)[at]
 
 
+def directed(nodes, seed):
+    """Make a network of three states a node, the third of which no other state hears."""
+    rng = np.random.default_rng(seed)
+    A = np.kron(np.diag(rng.uniform(2, 5, nodes)), [[-1.0, -1, 0], [1, -1, 0], [1, 0, -1]])
+    for i in range(nodes):
+        for j in {(i + 1) % nodes, (i - 1) % nodes, int(rng.integers(nodes))} - {i}:
+            A[3 * i + 1, [3 * j + 1, 3 * i + 1]] += [1, -1]
+    return A, np.eye(3 * nodes)[3 * rng.permutation(nodes)]
+
+
 def residues(M):
     numbers = [[Fraction(repr(float(x))) for x in row] for row in M]
     return [[x.numerator * pow(x.denominator, -1, MERSENNE) % MERSENNE for x in row]
@@ -158,3 +168,18 @@ def test_what_serves_instead_is_as_quiet_as_the_filter(lost_angle):
     assert sensor.noise.ratio < 2.0 and (sensor.eigenvalues.real < 0).all()
     residual = sensor.Phi @ plant.A - sensor.N @ sensor.Phi - sensor.J @ plant.C[1:]
     assert np.abs(residual).max() < 1e-7 * np.abs(plant.A).max()
+
+
+def test_many_functionals_of_a_large_plant_are_had_at_once_with_honest_bounds():
+    """The first is read: its own bounds say nothing of the others'."""
+    nodes, sensors, wanted = LARGE // 2 + 2, 6, 25
+    A, firsts = directed(nodes, 0)
+    plant = Plant.from_matrices(A, None, firsts[:sensors])
+    rows = firsts[sensors - 1:sensors + wanted]
+    sensor = design(plant, wanted={'v': rows})[(), 'v']
+    # less than all that the sensors hear, two states a node, and no noisier
+    assert sensor.order < 2 * nodes - sensors and sensor.noise.ratio < 2.0
+    assert wanted <= sensor.proof.lower <= sensor.proof.upper <= sensor.order
+    np.testing.assert_allclose(sensor.Cv @ sensor.Phi + sensor.Q @ plant.C, rows, atol=1e-8)
+    residual = sensor.Phi @ A - sensor.N @ sensor.Phi - sensor.J @ plant.C
+    assert np.abs(residual).max() < 1e-8 * np.abs(A).max()

@@ -47,7 +47,7 @@ def forged(path, change):
 
 @pytest.mark.parametrize('key, change', [
     ('format', lambda r: r.update(format='other')),
-    ('version', lambda r: r.update(version=2)),
+    ('version', lambda r: r.update(version=1)),
     ('design', lambda r: r.update(design='of another plant')),
     ('period', lambda r: r.update(period=0.2)),
     ('sensors', lambda r: r.update(sensors=['a', 'c', 'b'])),
@@ -78,5 +78,11 @@ def test_a_wrong_record_is_refused_in_one_line_and_changes_nothing(path, key, ch
 @pytest.mark.parametrize('text', ['', '[]', '{', '{"learnt": NaN}', '[' * 10**5])
 def test_what_is_no_record_is_refused(tmp_path, text):
     (tmp_path / 'record.json').write_text(text)
-    with pytest.raises(BadInput, match='record.json'):
+    with pytest.raises(BadInput, match='record.json') as refused:
         load(Machine().isolator, tmp_path / 'record.json', DESIGN)
+    assert 'design file' not in str(refused.value)
+
+
+def test_a_record_that_cannot_be_read_is_not_called_a_design_file(tmp_path):
+    with pytest.raises(BadInput, match='isolation record.*learns anew'):
+        load(Machine().isolator, tmp_path, DESIGN)

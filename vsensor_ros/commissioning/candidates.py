@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 import time
@@ -176,9 +176,10 @@ def look_around(node: Node, seconds: float) -> Surroundings:
     for topic in topics.values():
         topic.publishers = publishers(node, topic.name)
         topic.listeners = listeners(node, topic.name, SPEAK)
-    return Surroundings(topics, _isolations(node), bool(node.count_publishers('/clock')),
-                        _replacers(node), tuple(strange), frozenset(types_of_topics(node)),
-                        node.get_namespace().rstrip('/'))
+    replacers = _replacers(node)
+    return Surroundings(topics, _isolations(node, replacers),
+                        bool(node.count_publishers('/clock')), replacers, tuple(strange),
+                        frozenset(types_of_topics(node)), node.get_namespace().rstrip('/'))
 
 
 def leaves(message: Any) -> Iterator[Leaf]:
@@ -240,11 +241,16 @@ def _can_be_wired(kind: Any, path: str) -> bool:
     return True
 
 
-def _isolations(node: Node) -> tuple[tuple[str, str], ...]:
-    """Return published topics that are called isolation and have a type that is understood."""
+def _isolations(node: Node, replacers: Collection[str]) -> tuple[tuple[str, str], ...]:
+    """
+    Return published topics that are called isolation and have a type that is understood.
+
+    What a replacer's own isolator says is known to it without a topic.
+    """
     return tuple((topic, types[0]) for topic, types in node.get_topic_names_and_types()
                  if types and types[0] in (DIAGNOSTICS, TEXT) and node.count_publishers(topic)
-                 and topic.rpartition('/')[2] in ('isolation', 'fault_isolation', 'isolated'))
+                 and topic.rpartition('/')[2] in ('isolation', 'fault_isolation', 'isolated')
+                 and topic.rpartition('/')[0] not in replacers)
 
 
 def _replacers(node: Node) -> frozenset[str]:

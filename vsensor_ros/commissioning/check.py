@@ -103,6 +103,7 @@ def listen(node: SilentNode, settings: Settings, name: str, path: Path,
     world = World(
         name, seconds, types_of_topics(node),
         frozenset(use.topic for use in uses), settings.max_age,
+        settings.isolator.mode == 'act' or
         all(policy.silent_is_faulty for policy in settings.live.policies.values()),
         replacer.simulated, replacer.engine.now != 0 and state.stopped is None,
         tuple(p.node for p in publishers(node, '/clock')), replacer.engine.now * 1e-9)

@@ -113,7 +113,7 @@ class World:
     topics: Mapping[str, str]  # that anybody publishes on, with their types
     used: frozenset[str]  # topics that the parameters name
     max_age: Mapping[str, float]  # s, by sensor
-    silent_is_faulty: bool  # of every sensor, so that isolation is not needed
+    isolates: bool  # the replacer: silence is a fault of every sensor, or its isolator acts
     simulated: bool  # use_sim_time
     clock_moves: bool  # /clock was heard, and went on
     clock_publishers: tuple[str, ...]
@@ -204,10 +204,11 @@ def _nobody(use: Use, uses: Mapping[tuple[str, str], Use], world: World) -> Find
     near = nearest_topic(use.topic, world.strangers(), use.type)
     if use.role == ISOLATION:
         return Finding(
-            WARN if world.silent_is_faulty else FAIL, (use.topic,), '', 'nobody publishes on the '
+            WARN if world.isolates else FAIL, (use.topic,), '', 'nobody publishes on the '
             f'isolation topic {use.topic}, so no fault would be told',
-            f'did you mean {near}?' if near else 'start the fault isolation, or set '
-            'isolation.topic to where it speaks')
+            f'did you mean {near}?' if near else 'start the fault isolation, set '
+            'isolation.topic to where it speaks, or let the replacer find out by itself, with '
+            'isolator.mode act')
     mend = 'start its driver' if use.role == INPUT else 'start whoever commands it'
     if near:
         return Finding(FAIL, (use.topic,), '', _never(use), f'did you mean {near}?')

@@ -93,7 +93,7 @@ def _lines(wired: Wired) -> Iterator[str]:
 
 def _isolation(wired: Wired) -> Iterator[str]:
     if not wired.around.isolations:
-        yield '    # isolation: nobody says yet which sensors are faulty; see docs/replacer.md'
+        yield '    # isolation: nobody says yet which sensors are faulty; see docs/isolator.md'
         return
     (topic, kind), *others = sorted(wired.around.isolations,
                                     key=lambda found: wired.written(found[0]).startswith('/'))

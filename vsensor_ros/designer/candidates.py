@@ -7,7 +7,7 @@ closed for what must be known; the Kalman filter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -40,7 +40,8 @@ QUIETED_FREEDOM = 8  # such a family of so few coefficients is searched for the 
 QUIETED_ORDER = 60  # in plants of so few states
 MOST_TERMS = 4  # up to so many free terms, every set of decoupled ones is tried
 MOST_SPACES = 8  # invariant spaces tried
-LARGEST_CLOSED = 100  # in plants of so many states
+FEW_SPACES = 2  # of several functionals in plants of more than LARGEST_CLOSED states
+LARGEST_CLOSED = 100
 SHIFTS = 5  # bisections, for a filter that decays as asked and no faster
 TRIES = 8  # random members of a family, where arguments must be known
 
@@ -59,6 +60,16 @@ class Ground:
     def filter(self) -> Filter | None:
         """Return the Kalman filter."""
         return kalman(self.known, self.noise)
+
+    @cached_property
+    def floor(self) -> float:
+        """Return an error that none falls below, largest row; nan where none is known."""
+        size, known, found = self.problem.v_size, self.known, self.filter
+        if np.ptp(size):  # the row that is largest in its unit counts
+            share = (size / size.max())[:, None]
+            found = kalman(replace(known, v=share * known.v, q=share * known.q), self.noise)
+        least = found.floor * size.max() ** 2 if found else np.nan
+        return float(np.sqrt(max(least, 0.0))) if np.isfinite(least) else np.nan
 
     @cached_property
     def measured(self) -> bool:
@@ -184,7 +195,8 @@ def on_invariant_spaces(ground: Ground) -> list[JudgedCandidate]:
     known, found = ground.known, whole(ground)
     for rows in ([known.v] if not len(ground.terms)
                  else [known.v, np.vstack([known.v, ground.terms])]):
-        tried = MOST_SPACES if known.order <= LARGEST_CLOSED else 0
+        tried = (MOST_SPACES if known.order <= LARGEST_CLOSED else
+                 FEW_SPACES if len(known.v) > 1 else 0)
         for _, space in zip(range(tried), invariant_spaces.spaces(known, rows)):
             found += judged(ground, invariant_spaces.candidates(
                 known, ground.noise, space, ground.decay), 'closed subspace')
@@ -199,10 +211,18 @@ def whole(ground: Ground) -> list[JudgedCandidate]:
 
 
 def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None],
-            ) -> list[JudgedCandidate]:
-    """Return the observers of single rows of v side by side, each found by ``of_row``."""
+            least: Sequence[int], most: float) -> list[JudgedCandidate]:
+    """
+    Return the observers of single rows of v side by side, each found by ``of_row``.
+
+    ``least``: an order of each row below which it has none; ``most``: states, beyond which they
+    are of no use.
+    """
     problem, parts = ground.problem, []
+    order = sum(least)
     for i in range(len(problem.V)):
+        if order > most:
+            return []
         one = replace(problem, V=problem.V[i:i + 1], Qv=problem.Qv[i:i + 1],
                       v_size=problem.v_size[i:i + 1],
                       wanted=(problem.wanted[0][i:i + 1], problem.wanted[1][i:i + 1],
@@ -210,7 +230,10 @@ def stacked(ground: Ground, of_row: Callable[[Problem], Candidate | None],
         part = of_row(one)
         if part is None:
             return []
+        order += len(part.N) - least[i]
         parts.append(part)
+    if order > most:
+        return []
     return judged(ground, [Candidate(
         np.vstack([p.Phi for p in parts]), block_diag(*(p.N for p in parts)),
         np.vstack([p.J for p in parts]), block_diag(*(p.Cv for p in parts)),

@@ -10,7 +10,7 @@ Hessenberg matrix with its last row changed. Ranks become sines of angles.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.subspaces import (
     Gap,
     image,
+    in_row_space,
     kernel,
     new_directions,
     RANK_TOLERANCE,
@@ -114,6 +115,31 @@ def families(known: Quotient, freedom: Sequence[int | None] | None = None,
         M[-1] -= H[k, k - 1] * base[:k]
         F = image(free[:, :k].T).T
         yield k, Family(speed * M, F, speed, known.still), here
+
+
+def first_orders(known: Quotient,
+                 freedom: Sequence[Sequence[int | None]] | None = None) -> list[int]:
+    """
+    Return for each functional the first order at which it has a characteristic polynomial.
+
+    ``freedom``: of each, as of ``families``.
+    """
+    if freedom is not None:
+        return [next(k for k, free in enumerate(row) if free is not None) for row in freedom]
+
+    def first(one: Quotient) -> int:
+        if in_row_space(one.E, one.v):
+            return 0
+        return next((k for k, family, _ in families(one) if family is not None), one.order)
+
+    return [first(replace(known, v=v[None, :])) for v in known.v]
+
+
+def sure_order(freedom: Sequence[int | None]) -> int:
+    """Return the first order where all is free but the fixed modes, as of ``families``."""
+    fixed = len(freedom) - 1 - (freedom[-1] or 0)
+    return next(order for order, free in enumerate(freedom)
+                if free is not None and free == order - fixed)
 
 
 def _off(basis: np.ndarray, X: np.ndarray) -> np.ndarray:

@@ -32,13 +32,12 @@ from vsensor_ros.designer.fixed_spectrum import MOST_MODES, SPARING
 from vsensor_ros.designer.invariant_spaces import lower_bound
 from vsensor_ros.designer.noise import noise_model, usual_decay
 from vsensor_ros.designer.observer import build, Candidate
-from vsensor_ros.designer.order import families, Family
+from vsensor_ros.designer.order import families, Family, first_orders, sure_order
 from vsensor_ros.designer.order_walk import by_strides, LARGE, Listed
 from vsensor_ros.designer.problem import Problem
-from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.stabilise import stable_members
-from vsensor_ros.designer.subspaces import Gap, in_row_space, RANK_TOLERANCE
+from vsensor_ros.designer.subspaces import Gap, RANK_TOLERANCE
 from vsensor_ros.functions.nonlinearity import set_valued
 from vsensor_ros.observers import (
     Noise,
@@ -79,17 +78,20 @@ def search_orders(problem: Problem, existence: Existence, avoid: frozenset[int],
     base = where[0] if where[0].known is existence.quotient else Ground(
         problem, existence.quotient, where[0].terms[:0], noise, wanted)
     steps: list[OrderStep] = []
-    freedom = exact.freedom[0] if exact else None
+    freedom = exact.freedom if exact else None
     doubts = doubtful(existence.gap, 'whether one exists', exact)
     rungs: _Rungs = {}
 
     reserve = [c for g in where for c in (*filters(g, decay is not None), *whole(g))]
     if len(problem.V) > 1 or any(len(g.terms) for g in where):
         reserve += [c for g in where for c in on_invariant_spaces(g)]
+    bound = min(lower_bound(g.known, np.vstack([g.known.v, g.terms])) for g in where)
     if len(problem.V) > 1:
-        reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay))
-    bound = _least_rows(where)
-    proofs = Listed(_families_by_order(base, freedom))
+        least = first_orders(base.known, freedom)
+        reserve += stacked(base, lambda one: _single(one, avoid, prefer, decay), least,
+                           _most(where, reserve, prefer, enough))
+        bound = max(bound, *least)
+    proofs = Listed(_families_by_order(base, freedom[0] if freedom else None))
     of_grounds = [Listed(_families_by_order(g, None)) for g in where]
     met = list(reserve)
 
@@ -253,21 +255,15 @@ def _good(rungs: _Rungs, k: int, reserve: list[JudgedCandidate], enough: float) 
     return any(c is own for c in fast) and own.error <= QUIET * min(c.error for c in fast)
 
 
-def _least_rows(where: list[Ground]) -> int:
-    """Return an order below which nothing knows all that must be known (method 3.7)."""
-    bounds = []
-    for g in where:
-        rows = lower_bound(g.known, np.vstack([g.known.v, g.terms]))
-        several = [replace(g.known, v=v[None, :]) for v in g.known.v if len(g.known.v) > 1]
-        bounds.append(max([rows, *(_first_order(known) for known in several)]))
-    return min(bounds)
-
-
-def _first_order(known: Quotient) -> int:
-    """Return the first order at which one functional has a characteristic polynomial."""
-    if in_row_space(known.E, known.v):
-        return 0
-    return next((k for k, family, _ in families(known) if family is not None), known.order)
+def _most(where: list[Ground], reserve: list[JudgedCandidate], prefer: str,
+          enough: float) -> float:
+    """Return an order beyond which a virtual sensor can be no better than one of the reserve."""
+    floor = where[0].floor  # of least decoupling
+    if not reserve or any(len(g.terms) for g in where) or not np.isfinite(floor):
+        return np.inf  # validity, too, may decide
+    taken = QUIET / (LIVELY * SPARING) * floor  # a rung with such a candidate is taken
+    return min((c.order for c in _fast(reserve, enough)
+                if prefer == 'least' or (c.error <= taken and c.decay >= enough)), default=np.inf)
 
 
 def _excluded(k: int, base: Ground, proof: tuple[Family | None, Gap] | None,
@@ -310,17 +306,15 @@ def _numbers(gap: Gap) -> tuple[float, float]:
 
 def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
             doubts: list[str], decay: float | None,
-            freedom: Sequence[int | None] | None) -> VirtualSensor:
+            freedom: Sequence[Sequence[int | None]] | None) -> VirtualSensor:
     """Return rung k with the proof, the ladder and its noise against the floor."""
     candidate, sensor = rungs[k]
     if decay is not None and candidate.decay < 0.99 * decay:
         doubts = [*doubts, say(Reason.of('slower than wanted', wanted=decay,
                                          found=candidate.decay))]
     upper, modulo = min(rungs), freedom is not None and base.known.order > LARGE
-    if modulo and freedom is not None:  # where all is free but the fixed modes, which decay
-        fixed = len(freedom) - 1 - (freedom[-1] or 0)
-        upper = min([upper, *(order for order, free in enumerate(freedom)
-                              if free is not None and free == order - fixed)])
+    if modulo and freedom is not None:
+        upper = min(upper, sum(map(sure_order, freedom)))  # those of single rows, side by side
     steps = sorted(steps, key=lambda s: s.order)
     lower = max([s.order + 1 for s in steps if s.verdict == 'impossible' and s.order < upper],
                 default=0)
@@ -331,9 +325,8 @@ def _chosen(rungs: _Rungs, k: int, base: Ground, steps: list[OrderStep],
     steps = [s for s in steps if s.order < lower or s.verdict != 'impossible']
     ladder = tuple(Rung(order, c.error, v.noise_gain, c.decay, v.method)
                    for order, (c, v) in sorted(rungs.items()))
-    least = base.filter.floor * base.problem.v_size.max() ** 2 if base.filter else np.nan
     floor = min([c.error for c, _ in rungs.values()] + (
-        [float(np.sqrt(max(least, 0.0)))] if np.isfinite(least) else []))
+        [base.floor] if np.isfinite(base.floor) else []))
     return replace(sensor, ladder=ladder,
                    noise=Noise(candidate.error, floor, base.noise.assumed),
                    proof=Proof(lower, upper, tuple(steps),

@@ -235,6 +235,21 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'taken for': _taken_for,
     'bias taken for': _bias_taken_for,
     'not built': _not_built,
+
+    'premise not read': lambda names: (
+        f'no healthy sensor reads {listed(names)}, of which the submodels depend'),
+    'not of the states': lambda channel: (
+        f'the healthy sensors cannot tell {channel} with any functional of all submodels'),
+    'unknown inputs without bounds': lambda names: (
+        f'{listed(names)} cannot be kept out, and no range says how large it may be'
+        if len(names) == 1 else
+        f'{listed(names)} cannot be kept out, and no range says how large they may be'),
+    'not seen in the range': lambda at, rate, point: (
+        f'at {at} the healthy sensors do not see a mode that dies out no faster than '
+        f'{rate:.3g} 1/s; a range without that point may do'),
+    'no form over the range': lambda at, rate, point: (
+        f'no Lyapunov form was found in which an error dies out at {rate:.3g} 1/s over the whole '
+        f'range; what the healthy sensors see least of is at {at}'),
 }
 
 add_sentences(SENTENCES)

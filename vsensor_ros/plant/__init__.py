@@ -2,5 +2,9 @@
 
 from vsensor_ros.plant.load import load_plant
 from vsensor_ros.plant.plant import Plant
+from vsensor_ros.plant.sector_nonlinearity import from_equations
+from vsensor_ros.plant.takagi_sugeno import grid_memberships, TakagiSugeno
+from vsensor_ros.plant.takagi_sugeno_file import load_takagi_sugeno
 
-__all__ = ['Plant', 'load_plant']
+__all__ = ['Plant', 'TakagiSugeno', 'from_equations', 'grid_memberships', 'load_plant',
+           'load_takagi_sugeno']
