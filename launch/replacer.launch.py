@@ -12,6 +12,7 @@ ARGUMENTS = {  # with default and meaning; None: must be given
     'params_file': (None, 'parameter file, as config/replacer.yaml'),
     'namespace': ('', 'namespace of the node'),
     'name': ('replacer', 'name of the node'),
+    'executable': ('replacer', 'replacer, or isolator: it only says who failed'),
     'use_sim_time': ('false', 'follow /clock'),
     'autostart': ('true', 'active at once; false: wait for a lifecycle manager'),
 }
@@ -34,7 +35,8 @@ def _replacer(context: LaunchContext) -> list[LifecycleNode]:
         raise FileNotFoundError(f'params_file: {given}: there is no file {path}; name one that '
                                 'exists')
     return [LifecycleNode(
-        package='vsensor_ros', executable='replacer', name=LaunchConfiguration('name'),
+        package='vsensor_ros', executable=LaunchConfiguration('executable'),
+        name=LaunchConfiguration('name'),
         namespace=LaunchConfiguration('namespace'), output='screen',
         parameters=[path, {name: LaunchConfiguration(name)
                            for name in ('use_sim_time', 'autostart')}],

@@ -17,8 +17,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'monitor', 'player', 'replacer',
-            'wire')
+COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
+            'replacer', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}

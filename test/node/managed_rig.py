@@ -27,11 +27,12 @@ KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Machine:
     """The node, its drivers, and one who listens and calls services."""
 
-    def __init__(self, parameters, ros_args=()):
+    def __init__(self, parameters, ros_args=(), role=lifecycle.REPLACER):
         self.context = Context()
         self.context.init(args=['--ros-args', *ros_args])
         self.node = ManagedNode(
-            self.context, [Parameter(name, value=value) for name, value in parameters.items()])
+            self.context, [Parameter(name, value=value) for name, value in parameters.items()],
+            role=role)
         self.engineer = Node('engineer', context=self.context, start_parameter_services=False)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.engineer)
@@ -73,7 +74,7 @@ class Machine:
 
     def call(self, kind, name, **fields):
         """Call a service of the node; return the response."""
-        name = f'/replacer/{name}'
+        name = f'{self.node.get_fully_qualified_name()}/{name}'
         if name not in self.clients:
             self.clients[name] = self.engineer.create_client(kind, name)
         assert self.clients[name].wait_for_service(60.0), name
@@ -124,11 +125,12 @@ def machines(parameters):
     longest, lifecycle.LONGEST = lifecycle.LONGEST, 0.05  # s until its executor sees that it ends
     lifecycle.gc = THRIFTY
 
-    def start_one(ros_args=(), **more):
+    def start_one(ros_args=(), role=lifecycle.REPLACER, **more):
         # a busy machine makes no driver silent, and no jump of the clock
         started.append(Machine({**parameters, 'isolation.type': 'std_msgs/msg/String',
                                 'max_age': 60.0, 'max_jump': 60.0,
-                                **{key.replace('__', '.'): more[key] for key in more}}, ros_args))
+                                **{key.replace('__', '.'): more[key] for key in more}}, ros_args,
+                               role))
         return started[-1]
     yield start_one
     for machine in started:

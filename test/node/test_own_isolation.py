@@ -13,6 +13,7 @@ from std_srvs.srv import Trigger
 from vsensor_ros import design, Plant
 from vsensor_ros.engine.isolation import from_statuses
 from vsensor_ros.engine.isolation_names import Names
+from vsensor_ros.node.lifecycle import ISOLATOR
 
 sys.path.append(str(Path(__file__).parent))
 from managed_rig import KEPT, machines, told
@@ -130,5 +131,49 @@ def test_a_record_that_cannot_be_used_is_left_as_it_is(machine, isolating, tmp_p
 
 def test_a_design_without_residuals_cannot_act(machine, parameters, capfd):
     m = machine(isolator__mode='act', autostart=False)
+    assert m.change('configure') == (False, 'unconfigured')
+    assert m.spin_until(lambda: 'design with designer --isolate' in capfd.readouterr().err)
+
+
+def test_a_node_that_only_isolates_tells_a_replacer(machine, isolating, tmp_path):
+    """It speaks in nobody's place, and a replacer that isolates nobody itself heeds it."""
+    record = tmp_path / 'record.json'
+    alone = machine(role=ISOLATOR, design_file=str(isolating), isolator__mode='off',
+                    isolator__record=str(record))
+    m = machine(design_file=str(isolating), isolator__mode='off',
+                isolation__topic='/isolator/isolation',
+                isolation__type='diagnostic_msgs/msg/DiagnosticArray')
+    values = drive(m)
+    heard = {'isolation': m.listen(DiagnosticArray, '/isolator/isolation', KEPT),
+             'status': m.listen(DiagnosticArray, '/replacer/status', KEPT),
+             'y2': m.listen(Range, '/y2')}
+    assert m.spin_until(lambda: heard['y2'] and status(heard, 'source') == 'real')
+    assert m.spin_until(
+        lambda: alone.node.replacer.engine._own._isolator.watch.running().all())
+    assert m.engineer.count_publishers('/y2') == 1
+    values['y2'] = 4.0
+    assert m.spin_until(lambda: status(heard, 'source') == 'virtual')
+    assert status(heard, 'isolated_by') == 'isolation'
+    level, message, _ = told(heard['isolation'], 'isolator: isolator: y2')
+    assert level == DiagnosticStatus.ERROR and message.startswith('y2: ')
+    values['y2'] = 3.0
+    assert m.spin_until(lambda: heard['y2'][-1].range == pytest.approx(3.0, abs=0.05))
+    assert alone.call(Trigger, 'y2/clear').success
+    assert m.spin_until(lambda: told(
+        heard['isolation'], 'isolator: isolator: y2')[0] == DiagnosticStatus.OK)
+    assert alone.end() == 0 and json.loads(record.read_text())['sensors'] == list(SENSORS)
+
+
+def test_a_node_that_only_isolates_may_listen_where_the_sensors_go_out(machine, isolating):
+    m = machine(role=ISOLATOR, design_file=str(isolating), isolator__record='none',
+                **{f'sensors__{name}__input': f'/{name}' for name in SENSORS})
+    drivers = [m.engineer.create_publisher(Range, f'/{name}', 10) for name in SENSORS]
+    heard = m.listen(DiagnosticArray, '/isolator/isolation', KEPT)
+    assert m.spin_until(lambda: heard)
+    assert all(m.engineer.count_publishers(driver.topic_name) == 1 for driver in drivers)
+
+
+def test_a_node_that_only_isolates_needs_residuals(machine, capfd):
+    m = machine(role=ISOLATOR, autostart=False)
     assert m.change('configure') == (False, 'unconfigured')
     assert m.spin_until(lambda: 'design with designer --isolate' in capfd.readouterr().err)

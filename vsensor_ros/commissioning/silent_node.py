@@ -14,27 +14,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.node.mute import Mute
 from vsensor_ros.node.private_rclpy import override_qos
 
 QUIETLY = Parameter('start_type_description_service', value=False)
-
-
-class Mute:
-    """Stands in for a publisher: takes all, and sends nothing."""
-
-    def __init__(self, topic: str, qos: QoSProfile) -> None:
-        self.topic_name, self.qos_profile = topic, qos  # as it would have been opened
-        self.handle = self
-
-    def publish(self, message: Any) -> None:
-        """Send nothing."""
-
-    def publish_raw(self, raw: bytes) -> None:
-        """Send nothing."""
-
-    def get_subscription_count(self) -> int:
-        """Nobody hears it."""
-        return 0
 
 
 class Notebook:

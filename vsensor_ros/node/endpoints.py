@@ -74,8 +74,12 @@ class Endpoints:
 
 
 def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node, where: str,
-                   sim_time: bool, problems: list[BadInput]) -> Endpoints:
-    """Resolve the topics that the values name; append a problem for each that will not do."""
+                   sim_time: bool, problems: list[BadInput], speaks: bool = True) -> Endpoints:
+    """
+    Resolve the topics that the values name; append a problem for each that will not do.
+
+    speaks: whether the node publishes where the sensors go out.
+    """
     def resolve(topic: str | None, key: str) -> str | None:
         return None if topic is None else _resolve(node, topic, where, key, problems)
 
@@ -88,7 +92,7 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
         output = resolve(topic, f'{prefix}.topic')
         source = resolve(values.get(f'{prefix}.input') or (f'{topic}_raw' if output else None),
                          f'{prefix}.input')
-        if source is not None and source == output:
+        if speaks and source is not None and source == output:
             problems.append(BadInput(where, f'{prefix}.input', f'{source} is also the output',
                                      'remap the driver, to the topic + _raw say'))
         elif field is not None and source is not None and output is not None:
@@ -102,13 +106,14 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
             commands.append(Command(name, topic, *field, publisher))
     isolation = resolve(values.get('isolation.topic'), 'isolation.topic')
     own = [node.resolve_topic_name(topic) for topic in (STATUS, ESTIMATES, ISOLATION)]
-    if isolation in own:
+    if speaks and isolation in own:
         problems.append(BadInput(where, 'isolation.topic', f'{isolation} is what this node says',
                                  'name the topic of whoever finds the faults'))
-    problems.extend(_crossed(sensors, where))
+    if speaks:
+        problems.extend(_crossed(sensors, where))
     outputs = {sensor.output: sensor.name for sensor in sensors}
     for command in commands:
-        if command.topic in outputs:  # an estimate would come back as what led to it
+        if speaks and command.topic in outputs:  # an estimate would come back as what led to it
             problems.append(BadInput(
                 where, f'commands.{command.name}.topic', f'{command.topic} is where '
                 f'{outputs[command.topic]} goes out', 'name the topic of whoever commands'))

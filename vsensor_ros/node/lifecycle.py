@@ -8,6 +8,7 @@ transitions, services, parameters, the reports and the look at the graph.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import gc
 import sys
 from threading import Event, Lock, Thread
@@ -27,6 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import Live
+from vsensor_ros.node.isolator import Announcer, Isolator, offer_clear
 from vsensor_ros.node.loop import run
 from vsensor_ros.node.parameters import (
     Block,
@@ -51,9 +53,24 @@ SUCCESS, FAILURE, ERROR = (TransitionCallbackReturn.SUCCESS, TransitionCallbackR
                            TransitionCallbackReturn.ERROR)
 
 
+@dataclass(frozen=True)
+class Role:
+    """What a managed node is there for."""
+
+    name: str  # of the node, unless it is remapped
+    speaks: bool  # in place of sensors
+    work: Any  # is made of the node and its settings, opens its topics
+    tell: Any  # is made of the node and the work, tells what that does
+    offer: Callable[..., Sequence[Service]]  # opens its services
+
+
+REPLACER = Role('replacer', True, Replacer, Reporter, offer)
+ISOLATOR = Role('isolator', False, Isolator, Announcer, offer_clear)
+
+
 class ManagedNode(LifecycleNode):
     """
-    The node and its states; what it does in them is the replacer's.
+    The node and its states; what it does in them is the replacer's, or whatever its role is.
 
     Unconfigured: no topics but rclpy's. Inactive: all topics are open, nothing goes out. Active:
     the loop runs. Transitions come from the executor's thread, or from the main one while there
@@ -61,13 +78,14 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, context: Context | None = None,
-                 overrides: Sequence[Parameter] = (), blocks: Sequence[Block] = ()) -> None:
+                 overrides: Sequence[Parameter] = (), blocks: Sequence[Block] = (),
+                 role: Role = REPLACER) -> None:
         """Make the node; blocks: where its parameters come from, for those that do not fit."""
-        super().__init__('replacer', context=context, parameter_overrides=list(overrides),
+        super().__init__(role.name, context=context, parameter_overrides=list(overrides),
                          automatically_declare_parameters_from_overrides=True)
-        self._blocks = blocks
-        self.replacer: Replacer | None = None
-        self.reporter: Reporter | None = None
+        self._blocks, self._role = blocks, role
+        self.replacer: Replacer | Isolator | None = None
+        self.reporter: Reporter | Announcer | None = None
         self.refused: Refused | None = None  # why it could not be configured the last time
         self.active = Event()  # the loop may run
         self.ended = False  # shut down, for good
@@ -132,12 +150,12 @@ class ManagedNode(LifecycleNode):
         if missing := lacking():
             raise Refused([BadInput(self.get_fully_qualified_name(), 'rclpy', f'lacks {part}',
                                     'use the one of ROS 2 Jazzy') for part in missing])
-        settings = read(self, self._blocks)
+        settings = read(self, self._blocks, self._role.speaks)
         before = self._entities()
         try:
-            self.replacer = Replacer(self, settings)
-            self.reporter = Reporter(self, self.replacer)
-            self._offered = offer(self, self.replacer, self.active.is_set)
+            self.replacer = self._role.work(self, settings)
+            self.reporter = self._role.tell(self, self.replacer)
+            self._offered = self._role.offer(self, self.replacer, self.active.is_set)
         except Exception as error:
             self._close()
             for kind, entity in self._entities() - before:  # of what was half open
@@ -158,12 +176,15 @@ class ManagedNode(LifecycleNode):
     def _log_topics(self, settings: Settings) -> None:
         log = self.get_logger()
         for s in settings.sensors:
-            log.info(f'{s.name}: {s.input} -> {s.output} ({s.type}, {s.accessor.path})')
+            way = f'{s.input} -> {s.output}' if self._role.speaks else s.input
+            log.info(f'{s.name}: {way} ({s.type}, {s.accessor.path})')
         for c in settings.commands:
             log.info(f'{c.name}: {c.topic} ({c.type}, {c.accessor.path})')
         if settings.for_others:
             log.info(f'not for this node, it seems: {", ".join(settings.for_others)[:MOST_SHOWN]} '
                      '(given to all nodes)')
+        if not self._role.speaks:
+            return
         log.info(f'isolation: {settings.isolation_topic} ({settings.isolation_type})')
         log.info(f'{len(settings.design.virtual_sensors)} virtual sensors of '
                  f'{settings.design.plant_name} at {settings.rate:g} Hz; without an estimate: '
@@ -241,9 +262,9 @@ def spin(executor: SingleThreadedExecutor, node: ManagedNode, ending: Event) -> 
                 last, at = text, time.monotonic()
 
 
-def start(arguments: Sequence[str], stop: Event) -> int:
+def start(arguments: Sequence[str], stop: Event, role: Role = REPLACER) -> int:
     """
-    Run the replacer until told to stop.
+    Run the replacer, or another role, until told to stop.
 
     Signals are the caller's: rclpy would shut the context down under a loop that is publishing.
     Returns the exit status: 0, or 2 when it was given something it cannot start with; then there
@@ -255,10 +276,10 @@ def start(arguments: Sequence[str], stop: Event) -> int:
         try:
             rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
             place, mend = 'node', 'correct its name, its parameters or its security files'
-            node = ManagedNode(blocks=blocks)
+            node = ManagedNode(blocks=blocks, role=role)
         except (RuntimeError, ValueError) as error:  # what rcl raises, and rclpy for []
             raise Refused([BadInput(
-                'replacer', place, str(error).partition(', at /')[0], mend)]) from None
+                role.name, place, str(error).partition(', at /')[0], mend)]) from None
         check_addressed(node, blocks)
         return run_node(node, stop)
     except Refused as refused:

@@ -12,6 +12,7 @@ import sys
 from threading import Event
 import time
 
+from vsensor_ros.node.isolator import Isolator
 from vsensor_ros.node.private_rclpy import Waiting
 from vsensor_ros.node.replacer import Replacer
 
@@ -22,7 +23,7 @@ SHARE = 4  # a pause lasts that many times as long as the poll before
 SWITCH_INTERVAL = 0.0001  # s that another thread may keep the interpreter from the loop
 
 
-def run(replacer: Replacer, stop: Event, active: Event) -> None:
+def run(replacer: Replacer | Isolator, stop: Event, active: Event) -> None:
     """Poll until told to stop, or not active any more."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     with Waiting(replacer.subscriptions, replacer.node.context) as waiting:

@@ -77,12 +77,13 @@ class Settings:
     for_others: tuple[str, ...] = ()  # parameters that were given to all nodes of the robot
 
 
-def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
+def read(node: Node, blocks: Sequence[Block] = (), speaks: bool = True) -> Settings:
     """
     Check the node's parameters and load the design; the node stays as it is.
 
     The node must declare parameters from its overrides by itself. blocks: where these come from;
-    of what is given otherwise, none may be unknown. Raises Refused.
+    of what is given otherwise, none may be unknown. speaks: the node replaces sensors; one that
+    does not may listen where they go out. Raises Refused.
     """
     where = node.get_fully_qualified_name()
     given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
@@ -106,7 +107,7 @@ def read(node: Node, blocks: Sequence[Block] = ()) -> Settings:
         values.update(_check(named(design), given, where, problems))
         known.update(named(design))
     names = _names(design, values, where, problems)
-    endpoints = find_endpoints(design, values, node, where, sim_time is True, problems)
+    endpoints = find_endpoints(design, values, node, where, sim_time is True, problems, speaks)
     others: list[str] = []
     if design is not None:
         design = with_turns(design, endpoints.sensors, where, problems)

@@ -43,6 +43,11 @@ _POLICIES = {
 _OF_PUBLISHERS = ('lifespan',)
 
 
+def kept() -> QoSProfile:
+    """Return a profile of a topic whose last message late joiners see, for rclpy to write into."""
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
 def qos_options() -> QoSOverridingOptions:
     """
     Let parameters change the quality of service of a topic that is opened with this.

@@ -20,23 +20,19 @@ from rclpy.subscription import Subscription
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.engine import (
     Composition,
-    Engine,
     EngineState,
     Live,
-    Setup,
     Substitute,
 )
 from vsensor_ros.isolator import Settings as IsolatorSettings
-from vsensor_ros.node.cdr import Reader
-from vsensor_ros.node.endpoints import Command, Sensor
 from vsensor_ros.node.estimates import Estimates
-from vsensor_ros.node.inlet import Inlet
-from vsensor_ros.node.intake import not_sent, take_commands, take_readings
+from vsensor_ros.node.hearing import hear, start_engine
+from vsensor_ros.node.intake import not_sent
 from vsensor_ros.node.isolation_record import IsolationRecord
 from vsensor_ros.node.log import Log
 from vsensor_ros.node.pace import Health, Pace
 from vsensor_ros.node.parameters import DIAGNOSTICS, Refused, Settings
-from vsensor_ros.node.polling import LISTEN, Polled, SimulatedTime, subscribe
+from vsensor_ros.node.polling import Polled, SimulatedTime
 from vsensor_ros.node.private_rclpy import key_of
 from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC
 from vsensor_ros.node.reports import Reports, Statuses, Text
@@ -74,7 +70,7 @@ class Replacer:
         clock = SimulatedTime(node, group) if self.simulated else None
         self._time: Callable[[], int | None] = time.time_ns if clock is None else clock.read
         self.topics = open_topics(node, group, settings.sensors)
-        self.engine = self._start_engine(self.topics)
+        self.engine = start_engine(node, settings, self.topics, self.simulated, self._isolator())
         self.record = IsolationRecord(settings.isolator_record, node.get_fully_qualified_name(),
                                       settings.design_hash, self.log)
         self.record.load(self.engine)
@@ -90,40 +86,14 @@ class Replacer:
         self._shown = 0  # time of the reserves that were published last
         takers: list[tuple[Subscription, Callable[[], int]]] = [
             (s, self._take_isolation) for s in self.reports.subscriptions]
-        self.inlets: list[Inlet] = []
-        for topic in self.topics:
-            inlet = self._inlet(topic.subscription, topic.reader, topic.sensors)
-            takers.append((topic.subscription, partial(
-                take_readings, topic, inlet, self.engine, self.log)))
-        for command in settings.commands:
-            subscription = subscribe(node, group, command.kind, command.topic, LISTEN)
-            inlet = self._inlet(subscription, Reader(command.kind, [command.accessor],
-                                                      command.stamps),
-                                [command])
-            takers.append((subscription, partial(take_commands, command, inlet, self.engine)))
+        hearing = hear(node, group, self.topics, settings.commands, self.engine, self.log)
+        self.inlets = hearing.inlets
+        takers.extend(hearing.takers)
         self.readers = {inlet.topic: inlet.reader for inlet in self.inlets}
         if clock is not None:
             takers.insert(0, (clock.subscription, _nothing))  # `_time` looks there itself
         self.subscriptions = tuple(subscription for subscription, _ in takers)
         self._takers = {key_of(subscription): take for subscription, take in takers}
-
-    def _inlet(self, subscription: Subscription, reader: Reader,
-               sources: Sequence[Sensor | Command]) -> Inlet:
-        """Open the way in for the messages of a subscription."""
-        self.inlets.append(Inlet(self.node, subscription, reader, sources,
-                                 partial(self.engine.leave_out, sources[0].name)))
-        return self.inlets[-1]
-
-    def _start_engine(self, topics: Sequence[Topic]) -> Engine:
-        settings = self.settings
-        try:
-            return Engine(Setup(
-                settings.design, settings.rate, settings.max_age, settings.jump_ahead,
-                tuple(topic.plan for topic in topics), self.simulated, settings.live,
-                settings.command_ends, settings.guard, self._isolator()))
-        except BadInput as error:
-            raise Refused([BadInput(self.node.get_fully_qualified_name(), error.key,
-                                    error.problem, error.mend)]) from None
 
     def _isolator(self) -> IsolatorSettings | None:
         """Return what the own isolator is told; None: who only may have one has none."""

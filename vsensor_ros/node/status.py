@@ -16,7 +16,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 
 from vsensor_ros.bank import Rehearsal
 from vsensor_ros.engine import ChannelState, EngineState
@@ -42,7 +42,7 @@ from vsensor_ros.node.graph import (
 from vsensor_ros.node.isolation_record import EVERY
 from vsensor_ros.node.pace import Health
 from vsensor_ros.node.parameters import DIAGNOSTICS
-from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ISOLATION, qos_options, STATUS
+from vsensor_ros.node.qos import DIAGNOSTICS_TOPIC, ISOLATION, kept, qos_options, STATUS
 from vsensor_ros.node.replacer import Replacer
 from vsensor_ros.node.reports import LATELY, MOST_STRANGERS
 from vsensor_ros.node.reserve import Chance, chance, look_for, origins_of, without_reserve, worth
@@ -58,8 +58,6 @@ QUIET = 5.0  # s between two log lines that say the same of a channel
 WINDOW = 1.0  # s that rates are taken over, at least
 THROWN = 'thrown away'  # what is counted under that name lately; no sensor can be called so
 NODE = 'replacer'  # name of the status that is about no channel, on ~/status
-
-KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # late joiners see it
 
 
 class Rates:
@@ -108,12 +106,12 @@ class Reporter:
         self._reported = 0.0
         self._hurried = False
         self.status = node.create_publisher(
-            DiagnosticArray, STATUS, _copy(KEPT), qos_overriding_options=qos_options())
+            DiagnosticArray, STATUS, kept(), qos_overriding_options=qos_options())
         self.diagnostics = node.create_publisher(
             DiagnosticArray, DIAGNOSTICS_TOPIC, QoSProfile(depth=10),
             qos_overriding_options=qos_options())
         self.isolation = None if replacer.engine.verdict is None else node.create_publisher(
-            DiagnosticArray, ISOLATION, _copy(KEPT), qos_overriding_options=qos_options())
+            DiagnosticArray, ISOLATION, kept(), qos_overriding_options=qos_options())
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on when simulated time stops
         self._timers = [node.create_timer(PERIOD, self.report, clock=steady),
                         node.create_timer(LOOK, self.look_around, clock=steady)]
@@ -271,11 +269,6 @@ class Reporter:
 
 def _nothing() -> None:
     """Nobody wants to know any more."""
-
-
-def _copy(qos: QoSProfile) -> QoSProfile:
-    """Return a profile for rclpy to write overrides into."""
-    return QoSProfile(depth=qos.depth, durability=qos.durability, reliability=qos.reliability)
 
 
 _NOT_REHEARSED = Rehearsal(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)

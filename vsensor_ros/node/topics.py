@@ -18,6 +18,7 @@ from vsensor_ros.node.accessor import compile_holder, compile_names, owner_of_na
 from vsensor_ros.node.cdr import decode, Reader, Reading
 from vsensor_ros.node.disowned import compile_remover
 from vsensor_ros.node.endpoints import Sensor
+from vsensor_ros.node.mute import Mute
 from vsensor_ros.node.polling import LISTEN, Polled, subscribe
 from vsensor_ros.node.private_rclpy import sender
 from vsensor_ros.node.qos import DEEPEST, qos_options
@@ -131,15 +132,20 @@ class Topic:
         return template
 
 
-def open_topics(node: Node, group: Polled, sensors: Sequence[Sensor]) -> tuple[Topic, ...]:
-    """Create the subscription and the publisher of each topic, once and for all."""
+def open_topics(node: Node, group: Polled, sensors: Sequence[Sensor],
+                speaks: bool = True) -> tuple[Topic, ...]:
+    """
+    Create the subscription and the publisher of each topic, once and for all.
+
+    speaks: whether the node may publish there; else others do not see a publisher.
+    """
     sharing: Mapping[str, list[Sensor]] = {sensor.input: [] for sensor in sensors}
     for sensor in sensors:
         sharing[sensor.input].append(sensor)
     topics = []
     for index, (topic, together) in enumerate(sharing.items()):
         kind, output = together[0].kind, together[0].output
-        publisher = node.create_publisher(
+        publisher: Any = Mute(output, SPEAK) if not speaks else node.create_publisher(
             kind, output, copy.copy(SPEAK), qos_overriding_options=qos_options(),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False))
         topics.append(Topic(index, together, subscribe(node, group, kind, topic, LISTEN),
