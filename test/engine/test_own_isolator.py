@@ -176,3 +176,19 @@ def test_a_design_without_residuals_is_refused_or_has_none(found):
     with pytest.raises(BadInput, match='designer --isolate'):
         Run(replace(found, isolability=None))
     assert Run(replace(found, isolability=None), 'off').engine.verdict is None
+
+
+def test_a_clock_that_is_set_back_hours_blames_as_before(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.now -= 3600 * 10**9
+    run.go_on(15.0)
+    assert run.engine.verdict.state == 'healthy'
+    run.go_on(1.0, biased)
+    assert run.engine.verdict.faulty == ('y2',)
+    run.now -= 1800 * 10**9  # in the middle of the fault
+    run.go_on(1.0, biased)
+    assert run.engine.verdict.faulty == ('y2',) and run.channel('y2').source != 'real'
+    run.engine.reset()
+    run.go_on(15.0)
+    assert run.engine.verdict.state == 'healthy' and run.channel('y2').source == 'real'

@@ -245,6 +245,8 @@ class Engine:
     def reset(self) -> Messages:
         """Start all virtual sensors anew, forget forces, holds, latches and own isolation."""
         self._restart()
+        if self._own is not None:
+            self._own.restart()  # what it has not judged yet is of before
         self._forgive(self._design.sensors)
         return self._command(lambda time: self._switch.reset(time))
 

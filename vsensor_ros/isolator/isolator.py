@@ -90,6 +90,7 @@ class Isolator:
         self._estimates = np.empty((self.watch.batch, len(residuals)))
         self._held = 0  # samples of the batch that is being gathered
         self._time: int | None = None
+        self._set_back = 0  # ns by which the clock was, in all: what lasts goes on
         self._spikes = [(0, -np.inf)] * len(sensors)  # count, and when [s] it grew
         self._spiking = [False] * len(sensors)
         self._verdict = Verdict(0)
@@ -108,6 +109,7 @@ class Isolator:
             return self._verdict
         if self._time is not None and abs(time - self._time - 1e9 * self.period) \
                 > GRID * 1e9 * self.period:
+            self._set_back += max(0, self._time - time)
             self._start_anew()
         self._time = time
         for kept, given in ((self._readings, readings), (self._estimates, estimates)):
@@ -143,7 +145,7 @@ class Isolator:
         self.watch.restart()
 
     def _judge(self, time: int) -> None:
-        watch, diagnosis, now = self.watch, self._diagnosis, time * 1e-9
+        watch, diagnosis, now = self.watch, self._diagnosis, self._lasting(time)
         healthy = not diagnosis.stands
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
@@ -183,7 +185,7 @@ class Isolator:
 
     def _look(self, j: int, time: int, direct: str | None) -> None:
         """Draw the kind, the onset and the size of a fault from its channel and residual."""
-        known, now = self._known[j], time * 1e-9
+        known, now = self._known[j], self._lasting(time)
         fault, channels = known.fault, self.watch.channels
         if direct == NOISE:
             size = float(channels.rough[j] / channels.roughness[j])
@@ -205,6 +207,10 @@ class Isolator:
                     fault = replace(fault, size=self._deviation(j))
         known.fault = fault
 
+    def _lasting(self, time: int) -> float:
+        """Return a time in s that is never set back."""
+        return (time + self._set_back) * 1e-9
+
     def _ago(self, time: int, samples: int) -> int:
         return time - round(samples * self.period * 1e9)
 
@@ -218,11 +224,11 @@ class Isolator:
         channels = self.watch.channels
         sound = not (channels.run[j] or channels.gap[j] or channels.noisy()[j]) \
             if known.fault.kind in (STUCK, DROPPED) else not channels.noisy()[j]
-        return known.recovery.step(time * 1e-9, self._deviation(j), bool(sound),
+        return known.recovery.step(self._lasting(time), self._deviation(j), bool(sound),
                                    known.fault.kind in (BIAS, DRIFT, UNKNOWN))
 
     def _forgive(self, j: int, time: int) -> None:
-        gone = self._diagnosis.forgive(1 << j, time * 1e-9, self.watch.running())
+        gone = self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
         self.watch.detector.restart(np.array(gone, dtype=np.int64))
         self._known.pop(j, None)
 
@@ -237,7 +243,7 @@ class Isolator:
         return new
 
     def _say(self, time: int) -> None:
-        now, diagnosis = time * 1e-9, self._diagnosis
+        now, diagnosis = self._lasting(time), self._diagnosis
         faults = tuple(self._known[j].fault for j in sorted(self._known))
         candidates = tuple(self._names(mask) for mask in diagnosis.candidates)
         notes = []
