@@ -7,7 +7,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from vsensor_ros.engine import Composition, Engine
-from vsensor_ros.node import replacer as node_module
+from vsensor_ros.node import hearing as node_module
 
 RANGE, JOINTS = 'sensor_msgs/msg/Range', 'sensor_msgs/msg/JointState'
 ASKED = ('look', 'resume', 'activate', 'judge', 'failed_templates', 'learn', 'unreadable',

@@ -88,7 +88,7 @@ def test_illegal_parameters_fail_the_transition_with_the_reasons_in_the_log(mach
 @pytest.mark.parametrize('error, told', [
     (KeyError('surprise'), "KeyError: 'surprise'"),
     (RuntimeError('no permission, at rmw.c:1'), '/replacer: topics: no permission; give the')])
-@pytest.mark.parametrize('where', ['vsensor_ros.node.lifecycle.offer',
+@pytest.mark.parametrize('where', ['vsensor_ros.node.lifecycle.ManagedNode.create_service',
                                    'vsensor_ros.node.replacer.Estimates'])
 def test_what_goes_wrong_while_opening_leaves_nothing_open(machine, monkeypatch, where, error,
                                                            told):
