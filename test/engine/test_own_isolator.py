@@ -192,3 +192,38 @@ def test_a_clock_that_is_set_back_hours_blames_as_before(found):
     run.engine.reset()
     run.go_on(15.0)
     assert run.engine.verdict.state == 'healthy' and run.channel('y2').source == 'real'
+
+
+def test_what_was_learnt_goes_on_in_another_run(found, tmp_path):
+    run, path = Run(found), tmp_path / 'record.json'
+    run.go_on(15.0)
+    run.engine.learnt().save(path, 'hash')
+    again = Run(found)
+    again.engine.go_on_from(path, 'hash')
+    again.go_on(2.0)  # too short to learn that it does not repeat itself
+    frozen = []
+
+    def freeze(readings, time):
+        frozen.append(readings[1])
+        return [readings[0], frozen[0], readings[2]]
+    again.go_on(0.3, freeze)
+    assert [f.kind for f in again.engine.verdict.faults] == ['stuck']
+    with pytest.raises(BadInput, match='another design'):
+        again.engine.go_on_from(path, 'another')
+
+
+def test_who_cannot_be_told_apart_is_suspected_and_nobody_replaced():
+    plant = Plant.from_matrices([[-1.0]], [[1.0]], [[1.0], [2.0], [3.0]], D=[[1.0]],
+                                states=['x'], inputs=['u'], sensors=list(SENSORS),
+                                noise=[0.01] * 3)
+    whole = design(plant, isolate=True)
+    one = next(r for r in whole.isolability.residuals if len(r.support) == 2)
+    run = Run(replace(whole, isolability=replace(
+        whole.isolability, residuals=(one,), filters={})))
+    run.go_on(15.0)
+    run.go_on(1.0, lambda readings, time: readings + 0.5 * np.array(
+        [name == one.support[0] for name in SENSORS]))
+    assert run.engine.verdict.state == 'suspected' and not run.engine.verdict.faulty
+    assert {s for names in run.engine.verdict.candidates for s in names} == set(one.support)
+    assert all(run.channel(s).source == 'real' for s in SENSORS) and not run.sent
+    assert any('the residuals that alarm do not tell which' in str(r.what) for r in run.said)

@@ -97,9 +97,14 @@ class IsolationSource(Protocol):
 
 
 def together(*reports: IsolationReport) -> IsolationReport:
-    """Return what several sources say in all: faulty is whom any of them takes for it."""
+    """
+    Return what several sources say in all: faulty is whom any of them takes for it.
+
+    Since the earliest time that one knows; 0: nobody knows.
+    """
     faulty: dict[str, int] = {}
     for report in reports:
         for name, since in report.faulty.items():
-            faulty[name] = min(since, faulty.get(name, since))
+            known = [time for time in (since, faulty.get(name, 0)) if time]
+            faulty[name] = min(known, default=0)
     return IsolationReport(faulty, frozenset().union(*(report.knows for report in reports)))

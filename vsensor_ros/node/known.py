@@ -148,12 +148,13 @@ GENERAL: Mapping[str, Known] = {
         float, 1.0, 'false alarms of the isolator that are put up with', '1/day', 1e-6, 1e4),
     'isolator.model_error': Known(
         float, 0.1, 'share of motion beyond what was learnt by which the isolator is more '
-        'careful', '', 0.0, 1.0),
+        'careful; 0 disables that', '', 0.0, 1.0),
     'isolator.recovery': Known(
         str, 'hold', 'when the isolator believes a sensor again: hold (when cleared by '
         'service), return (when it has come back for the dwell)', choices=RECOVERIES),
     'isolator.dwell': Known(
-        float, 10.0, 'time for which a sensor must have come back', 's', 0.0, 86400.0),
+        float, 10.0, 'time for which a sensor must have come back; 0 disables it', 's', 0.0,
+        86400.0),
     'isolator.record': Known(
         str, AUTO, 'file with what the isolator has learnt; auto: one of this node and design '
         'in the folder of ROS; none: it is not kept'),
