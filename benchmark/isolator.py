@@ -76,7 +76,9 @@ def judge(case: Case, machines: int, hours: float, rounds: int, seed: int) -> No
 def counted(told: Sequence[tuple[float, int, str]]) -> str:
     """Return how often which state was told."""
     states = [state for _, _, state in told]
-    return ', '.join(f'{states.count(state)} {state}' for state in sorted(set(states))) or 'none'
+    machines = len({machine for _, machine, _ in told})
+    return ', '.join([*(f'{states.count(state)} {state}' for state in sorted(set(states))),
+                      f'on {machines} machines']) if told else 'none'
 
 
 def told_of(case: Case, outcomes: Sequence[tuple[Faults, Outcome]], sensors: Sequence[int],

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
 from vsensor_ros import design, load_plant, Plant
-from vsensor_ros.designer.dedicated import dedicated, innovations
-from vsensor_ros.designer.residuals import residual
-from vsensor_ros.observers import NONE, Residual, VirtualSensor
+from vsensor_ros.observers import Residual, VirtualSensor
 from vsensor_ros.observers.kinds.functional.tracking import tracker
 
 PERIOD = 0.01  # s
@@ -172,8 +170,7 @@ def bank_of(case: Case) -> tuple[list[Residual], list[VirtualSensor]]:
     """
     Return the residuals of a case, and the observer of each as it runs for its residual.
 
-    Those of the design that isolates, for all sets of up to three sensors. And for each sensor the
-    dedicated filter that reads all others: designed or not, because it is quick.
+    They are those of the design that isolates, for all sets of up to three sensors.
     """
     sensors = case.plant.sensors
     made = design(case.plant, [s for size in (1, 2, 3) for s in combinations(sensors, size)
@@ -185,14 +182,6 @@ def bank_of(case: Case) -> tuple[list[Residual], list[VirtualSensor]]:
         entry = entries[r.fault_set, r.channel]
         assert isinstance(entry, VirtualSensor)
         observers.append(tracker(entry) if entry.grade == 'temporary' else entry)
-    for sensor in sensors:
-        shown = {d.sensor: d.strength for d in made.isolability.plant
-                 if d.others == (sensor,) and d.strength != NONE}
-        of = innovations(case.plant, (sensor,)) if shown else None
-        for entry in dedicated(of, shown) if of else ():
-            if entry.channel not in made.isolability.filters:
-                observers.append(entry)
-                residuals.append(residual(case.plant, entry))
     return residuals, observers
 
 

@@ -47,7 +47,7 @@ def forged(path, change):
 
 @pytest.mark.parametrize('key, change', [
     ('format', lambda r: r.update(format='other')),
-    ('version', lambda r: r.update(version=1)),
+    ('version', lambda r: r.update(version=2)),
     ('design', lambda r: r.update(design='of another plant')),
     ('period', lambda r: r.update(period=0.2)),
     ('sensors', lambda r: r.update(sensors=['a', 'c', 'b'])),

@@ -37,7 +37,6 @@ class Channels:
     """Any number of channels c, a batch of samples at a time."""
 
     range: Floats
-    middle: Floats
     _last: Floats
     _from: Floats
     _moved: Floats
@@ -97,7 +96,6 @@ class Channels:
                 self._repeat(reading, estimate, learn)
         low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
         middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
-        self.middle = middle  # readings behind the median of three
         self._move(middle, learn)
         self._roughen(both, middle)
         if self._count % (BLOCK // self.batch) == 0:

@@ -73,7 +73,7 @@ class Detector:
         Take a batch of samples (batch, n); return which columns alarm now (n,).
 
         samples: NaN starts the windows of a column anew. learn, () or (n,): whether the machine
-        counts as healthy. widened, () or (windows, n): added to all thresholds of a column.
+        counts as healthy. widened, () or (n,): added to all thresholds of a column.
         """
         self._count += 1
         raw = self._raw
@@ -101,8 +101,6 @@ class Detector:
         limits = self.thresholds.reshape(2, 2, len(WINDOWS), -1)[:, :, :due]
         above -= limits[:, 0]
         below += limits[:, 1]
-        if np.ndim(widened):
-            widened = np.asarray(widened)[:due]
         passed = self.high[:, :due]
         np.greater(above, widened, out=passed)
         passed |= below < np.negative(widened)

@@ -18,12 +18,11 @@ from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.isolator.block_maxima import BlockMaxima, ROOM
 from vsensor_ros.isolator.detector import TESTS
 from vsensor_ros.isolator.isolator import Isolator, LARGEST
-from vsensor_ros.isolator.swing import SWINGS
 from vsensor_ros.observers.checked_json import CheckedObject, read_json
 from vsensor_ros.whole_file import write_whole
 
 FORMAT = 'vsensor_ros isolation record'
-VERSION = 2  # 1 had no swings
+VERSION = 1
 MEND = 'remove the file; the isolator then learns anew'
 MOST = 2**53  # samples, of any count
 COUNTS = ('repeats', 'again', 'pairs', 'longest', 'longest_gap', 'samples')  # of channels
@@ -37,7 +36,7 @@ def save(isolator: Isolator, path: str | Path, design: str) -> None:
         'format': FORMAT, 'version': VERSION, 'design': design, 'period': isolator.period,
         'residuals': [r.name for r in isolator.residuals], 'sensors': list(isolator.sensors),
         'learnt': detector.learnt.tolist(), 'maxima': _written(detector.maxima),
-        'motion': _written(channels.motion), 'swings': _written(isolator.watch.swing.maxima),
+        'motion': _written(channels.motion),
         **{key: getattr(channels, key).tolist() for key in (*COUNTS, *SIZES)}}
     try:
         write_whole(path, json.dumps(record, allow_nan=False) + '\n')
@@ -79,13 +78,12 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
         if list(reader.texts(key)) != names:
             raise reader.fail(key, 'are not those of the design')
     reader.only(('format', 'version', 'design', 'period', 'residuals', 'sensors', 'learnt',
-                 'maxima', 'motion', 'swings', *COUNTS, *SIZES))
+                 'maxima', 'motion', *COUNTS, *SIZES))
     r, c = len(isolator.residuals), len(isolator.sensors)
     detector, channels = isolator.watch.detector, isolator.watch.channels
     learnt = _counts(reader, 'learnt', r)
     maxima = _maxima(reader.object('maxima'), TESTS, r)
     motion = _maxima(reader.object('motion'), 3, c)
-    swings = _maxima(reader.object('swings'), len(SWINGS), c)
     counts = {key: _counts(reader, key, c) for key in COUNTS}
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
     if np.any(counts['again'] > counts['repeats']):
@@ -95,12 +93,10 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
 
     def apply() -> None:
         detector.learnt, detector.maxima, channels.motion = learnt, maxima, motion
-        isolator.watch.swing.maxima = swings
         for key, values in (*counts.items(), *sizes.items()):
             setattr(channels, key, values)
         detector.refresh()
         channels.refresh()
-        isolator.watch.swing.refresh()
     return apply
 
 

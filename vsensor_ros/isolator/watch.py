@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from vsensor_ros.isolator.block_maxima import Floats
 from vsensor_ros.isolator.channels import Channels
 from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, WINDOWS
-from vsensor_ros.isolator.swing import Swing
 
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
@@ -47,8 +46,6 @@ class Watch:
         self.gain = self.gains.max(axis=1, initial=0.0)
         self.detector = Detector(period, self.batch, false_alarms, PRIOR * noise, WILD * noise)
         self.channels = Channels(period, self.batch, len(best))
-        self.swing = Swing(period, self.batch, len(best))
-        self._swung = np.zeros((len(WINDOWS), len(own)))  # by what swings move the thresholds
         self._unseen = np.flatnonzero(best < 0) if (best < 0).any() else None
         self._told = None if (own >= 0).all() else own >= 0
         self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
@@ -73,9 +70,7 @@ class Watch:
             shown[:, self._unseen] = said[:, self._unseen] = np.nan
         self.channels.step(readings, shown, said, learn_channels)
         self.said = said[-1]
-        if self.swing.step(self.channels.middle, learn_channels):
-            self._swung = self._shown(self.swing.of_windows())
-        alarms = self.detector.step(residuals, learn, self._widened() + self._swung)
+        alarms = self.detector.step(residuals, learn, self._widened())
         if alarms.any():  # what spikes leave behind is nobody's fault
             spiking = self.channels.spiking()
             for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):
@@ -89,19 +84,18 @@ class Watch:
         return len(past) > 0 and not -below <= float(np.median(past)) <= above
 
     def _widened(self) -> Floats:
-        """Return by how much motion beyond the learnt range moves the thresholds (n,)."""
+        """Return by how much motion beyond what was learnt moves the thresholds (n,)."""
         channels, detector = self.channels, self.detector
-        widened = self._shown(channels.beyond)
+        motion = channels.beyond
+        if self._single is not None:
+            widened = motion[self._single] * self.gain
+        else:
+            widened = self.gains @ motion
         fresh = detector.learnt * detector.period < ENOUGH
         if fresh.any():
-            widened += fresh * self._shown(np.nan_to_num(channels.range[1] - channels.range[0]))
-        return widened
-
-    def _shown(self, motion: Floats) -> Floats:
-        """Return what a model that errs makes checks show of motion of channels (.., c); (.., n)."""
-        if self._single is not None:
-            return motion[..., self._single] * (self.model_error * self.gain)
-        return self.model_error * motion @ self.gains.T
+            span = np.nan_to_num(channels.range[1] - channels.range[0])
+            widened = widened + fresh * (self.gains @ span)
+        return self.model_error * widened
 
     def running(self) -> Bools:
         """Tell which checks have been fed for a while (n,)."""
@@ -111,8 +105,6 @@ class Watch:
         """Forget all samples, not what was learnt."""
         self.detector.restart(np.arange(len(self.own)))
         self.channels.restart()
-        self.swing.restart()
-        self._swung[:] = 0.0
 
     def centre(self, column: int) -> float:
         """Return the mean of a healthy residual."""
