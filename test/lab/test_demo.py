@@ -96,6 +96,7 @@ def short_servo(tmp_path, monkeypatch):
                               'inputs': {'voltage': '8*sin(2*t + 1)'}}
     content['bar']['rmse'] = 0.1    # on a busy machine too
     (folder / 'demo.yaml').write_text(yaml.safe_dump(content))
+    (folder / 'demo_alone.yaml').unlink()
     monkeypatch.setattr(demo_runner, 'config_folder', lambda: tmp_path / 'config')
     return tmp_path / 'build'
 
@@ -149,6 +150,19 @@ def assert_plots(known, design):
         assert len(splitter) == len(splitter.get('sizes').split(';')) == count
     topics = root.find('Plugins/plugin/selected_topics').get('value').split(';')
     assert all(any(name.startswith(f'{topic}/') for topic in topics) for name in plotted)
+
+
+@pytest.mark.slow
+def test_a_story_in_which_nobody_isolates(short_servo):
+    folder = short_servo.parent / 'config' / 'servo'
+    content = yaml.safe_load((CONFIG / 'servo' / 'demo_alone.yaml').read_text())
+    content['faults'] = [{'kind': 'freeze', 'start': 12.5}]
+    content['simulation'] |= {'duration': 18.0, 'inputs': {'voltage': '8*sin(2*t + 1)'}}
+    (folder / 'demo.yaml').write_text(yaml.safe_dump(content))
+    assert main(['--output', str(short_servo)]) == 0
+    [record] = json.loads((short_servo / 'summary.json').read_text())
+    assert record['latency_ms'] is None and 0.0 < record['fault_ms'] < 3000.0
+    assert record['rmse'] < 0.1 * record['rmse_hold']
 
 
 @pytest.mark.slow
