@@ -1,15 +1,27 @@
 """An engine that isolates by itself, on a simulated machine: nobody else tells who failed."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vsensor_ros import design, Plant
+from vsensor_ros import design, load_plant, Plant
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.engine import Engine, IsolationReport, Live, Policy, Setup, StreamPlan
+from vsensor_ros.bank import Residuals
+from vsensor_ros.bank.readings import Samples
+from vsensor_ros.engine import (
+    Engine,
+    IsolationReport,
+    Live,
+    Policy,
+    Setup,
+    StreamPlan,
+    together,
+)
 from vsensor_ros.isolator import Settings
 
+CONFIG = Path(__file__).parents[2] / 'config'
 PERIOD = 10_000_000
 START = 1000 * 10**9
 SENSORS = ('y1', 'y2', 'y3')
@@ -96,6 +108,29 @@ def test_who_is_biased_is_replaced_and_the_onset_known(found, late):
     (_, said), = run.sent[-1].fields
     assert said.value == pytest.approx(2.0 * run.x, abs=0.05 + 0.05 * late)
     assert any('y2: ' in str(r.what) and 'began about' in str(r.what) for r in run.said)
+
+
+def test_a_drift_counts_from_its_onset_not_from_when_it_was_found(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.go_on(3.0, lambda readings, time: readings + np.array([0.0, 0.5 * time, 0.0]))
+    fault, = run.engine.verdict.faults
+    assert run.channel('y2').isolated_s > (run.now - fault.found) * 1e-9 + 0.1
+    early, late = IsolationReport({'y2': 0}, frozenset()), IsolationReport({'y2': 5}, frozenset())
+    assert together(early, late).faulty == together(late, early).faulty == {'y2': 5}
+
+
+def test_an_observer_says_nothing_before_it_has_forgotten_its_start():
+    servo = design(load_plant(CONFIG / 'servo' / 'plant.yaml'), isolate=True)
+    slow = Residuals(servo.isolating(), servo.isolability.residuals, 100.0,
+                     dict.fromkeys(servo.sensors, 0.5))
+    said = []
+    for k in range(1500):
+        for name in servo.sensors:
+            slow.take(name, START + k * PERIOD, 0.0)
+        slow.take('voltage', START + k * PERIOD, 0.0)
+        said += [estimates for _, _, estimates in slow.at_least(1, START + k * PERIOD)]
+    assert np.isnan(said[5]).any() and np.isfinite(said[-1]).all()
 
 
 def test_it_is_blamed_until_cleared_by_whom_it_is(found):
@@ -227,3 +262,26 @@ def test_who_cannot_be_told_apart_is_suspected_and_nobody_replaced():
     assert {s for names in run.engine.verdict.candidates for s in names} == set(one.support)
     assert all(run.channel(s).source == 'real' for s in SENSORS) and not run.sent
     assert any('the residuals that alarm do not tell which' in str(r.what) for r in run.said)
+    run.now -= 3600 * 10**9  # suspicion ends after some time without an alarm, whatever the clock
+    run.go_on(15.0)
+    assert run.engine.verdict.state == 'healthy'
+
+
+@pytest.mark.slow
+def test_a_fault_too_small_to_be_found_is_told_once_enough_is_known(found, tmp_path):
+    run, path = Run(found), tmp_path / 'record.json'
+    run.go_on(310.0)
+    run.engine.learnt().save(path, 'hash')
+    again = Run(found, smallest_fault={'y1': 1e-6, 'y2': 1.0})
+    again.engine.go_on_from(path, 'hash')
+    again.go_on(0.5)
+    said = [str(r.what) for r in again.said]
+    assert any('y1: a fault of 1e-06 is not found' in text for text in said)
+    assert not any('y2: a fault' in text for text in said)
+
+
+def test_a_reading_that_does_not_change_is_the_same_between_its_samples():
+    samples = Samples()
+    for stamp in (0, 1000):
+        samples.add(stamp, 0.1)
+    assert {samples.interpolated(time, 2000) for time in range(0, 1000, 7)} == {0.1}

@@ -89,13 +89,6 @@ class IsolationReport(NamedTuple):
     knows: frozenset[str]  # the sensors that it has said anything of
 
 
-class IsolationSource(Protocol):
-    """Somebody who finds out which sensors have failed."""
-
-    def report(self) -> IsolationReport:
-        """Return who is faulty now, whom it knows, and since when."""
-
-
 def together(*reports: IsolationReport) -> IsolationReport:
     """
     Return what several sources say in all: faulty is whom any of them takes for it.

@@ -80,8 +80,11 @@ class OwnIsolator:
         told: list[tuple[Reason, object]] = [
             (fault.reason(self.verdict.time), (SOURCE, fault.sensor, fault.kind))
             for fault in self.verdict.faults]
-        return told + [(why, (SOURCE, why.code)) for why in self.verdict.reasons
-                       if why.code in ('fault ambiguous', 'fault of model')]
+        told += [(why, (SOURCE, why.code)) for why in self.verdict.reasons
+                 if why.code in ('fault ambiguous', 'fault of model')]
+        if not any(why.code == 'fault learning' for why in self.verdict.notes):
+            told += [(why, (SOURCE, why)) for why in self._isolator.too_small()]
+        return told
 
     def clear(self, names: tuple[str, ...]) -> bool:
         """Believe sensors again; tell whether one was blamed."""
@@ -102,10 +105,6 @@ class OwnIsolator:
         """Return whom it blames, and since when they are faulty, if that is to be acted on."""
         return NOBODY if not self.acts else IsolationReport(
             {fault.sensor: fault.onset for fault in self.verdict.faults}, frozenset())
-
-    def too_small(self) -> tuple[Reason, ...]:
-        """Say which of the smallest faults that were asked for cannot be found yet."""
-        return self._isolator.too_small()
 
     def learnt(self) -> Learnt:
         """Return what it has learnt by now."""

@@ -25,7 +25,7 @@ class IsolationRecord:
     def __init__(self, given: str, node: str, design_hash: str, log: Log) -> None:
         """given: a path, auto or none."""
         self.path = None if given == NONE else default_path(node, design_hash) if given == AUTO \
-            else Path(given).expanduser()
+            else Path(os.path.expanduser(given))
         self._own = given == AUTO
         self._hash, self._log = design_hash, log
 
@@ -34,6 +34,9 @@ class IsolationRecord:
         if self.path is None or not self.path.exists():
             return
         try:
+            if not self.path.is_file():  # reading a pipe would never end
+                raise BadInput(self.path, 'isolation record', 'is not a regular file',
+                               'name another')
             engine.go_on_from(self.path, self._hash)
         except BadInput as error:
             self._log.say(f'{error}; what is learnt now is not kept')
