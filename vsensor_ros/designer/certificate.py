@@ -56,7 +56,6 @@ ROOM = 1.1  # eigenvalues must allow so much more, or a form is not looked for
 PLENTY = 1.5  # of that
 MOST_TRIED = 4  # virtual sensors in one box
 BOUND_ON_RANGES = '; its bound holds while states, readings and inputs stay in the given ranges'
-MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
 Box = tuple[np.ndarray, np.ndarray]  # of states (n, 2) and inputs (m, 2)
 
 
@@ -80,8 +79,8 @@ def certify(plant: Plant, sensor: VirtualSensor) -> Certificate:
         found = everywhere(plant, sensor) or on_ranges(plant, sensor)
         near = None if found else near_the_point(plant, [sensor])
         return found or (near[1] if near else nowhere(plant, sensor))
-    except ImportError:
-        return nowhere(plant, sensor, MISSING)
+    except ImportError as missing:
+        return nowhere(plant, sensor, str(missing))
 
 
 def everywhere(plant: Plant, sensor: VirtualSensor) -> Certificate | None:

@@ -26,6 +26,7 @@ from scipy.linalg import (
 from vsensor_ros.designer.error_system import decay_rate, ErrorSystem, no_slopes
 from vsensor_ros.designer.peak_to_peak import peak_bound
 from vsensor_ros.designer.quadratic_form import bound_on, falling_rate, Form
+from vsensor_ros.designer.semidefinite import answered, solver
 
 LARGEST_ORDER = 14  # for matrix inequalities: their cost grows with the sixth power
 LARGEST_INEQUALITY = 2500  # entries of all corners together in the search; beyond, the same
@@ -163,9 +164,7 @@ def _inequalities(error: ErrorSystem, L: np.ndarray) -> Solve:
     each inequality weighted by what it is there. Of all solutions the best conditioned is taken,
     or the one that errors of the readings move least (for_noise).
     """
-    import cvxpy  # large, and needed here only
-    if 'CLARABEL' not in cvxpy.installed_solvers():
-        raise ImportError('clarabel')
+    cvxpy = solver()
 
     def right(M: np.ndarray) -> np.ndarray:  # M L'^-1
         return solve_triangular(L, M.T, lower=True).T
@@ -228,13 +227,7 @@ def _inequalities(error: ErrorSystem, L: np.ndarray) -> Solve:
     def solve(rate: float, for_noise: bool = False) -> tuple[
             np.ndarray, np.ndarray | None] | None:
         shift.value = 2.0 * rate if step is None else -np.exp(-2.0 * rate * step)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter('ignore')  # of inaccuracy: what comes is checked
-                (quiet if for_noise else steady).solve(solver='CLARABEL')
-        except (cvxpy.error.SolverError, ArithmeticError, ValueError):
-            return None
-        if x.value is None or not np.all(np.isfinite(x.value)):
+        if not answered(quiet if for_noise else steady, x):
             return None
         found = np.tensordot(x.value[:len(basis)], basis, axes=1)
         try:

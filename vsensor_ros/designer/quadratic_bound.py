@@ -11,13 +11,12 @@ afterwards, and a margin must be left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-import warnings
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
-MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
+from vsensor_ros.designer.semidefinite import answered, solver
+
 MARGINS = (1e-6, 3e-6, 1e-5, 3e-5)  # that are asked of the solver in turn, which may fail at one,
 LEFT = 1e-9  # and that must be left of the norm
 
@@ -70,18 +69,12 @@ class Inequalities:
         which T may move. K (V, N, l): gains that are fixed; else they follow from the form.
         Raises ImportError, with what to install.
         """
-        try:
-            import cvxpy  # large, and needed here only
-        except ImportError:
-            raise ImportError(MISSING) from None
-        if 'CLARABEL' not in cvxpy.installed_solvers():
-            raise ImportError(MISSING)
         return next((found for margin in MARGINS if (found := self._solve(
-            cvxpy, alpha, T, S, free, K, margin)) is not None), None)
+            alpha, T, S, free, K, margin)) is not None), None)
 
-    def _solve(self, cvxpy: Any, alpha: float, T: np.ndarray, S: np.ndarray,
-               free: np.ndarray | None, K: np.ndarray | None,
-               margin: float) -> Found | None:
+    def _solve(self, alpha: float, T: np.ndarray, S: np.ndarray, free: np.ndarray | None,
+               K: np.ndarray | None, margin: float) -> Found | None:
+        cvxpy = solver()
         N, w = len(S), self.G.shape[2] - len(S)
         L = np.linalg.cholesky(S)
         turn = block_diag(L, np.eye(w))
@@ -105,13 +98,7 @@ class Inequalities:
             asked.append(cvxpy.bmat([[rest, ahead.T], [ahead, P]])
                          >> margin * np.eye(N + seen.shape[1]))
         problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.trace(width)), asked)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter('ignore')  # of inaccuracy: what comes is checked
-                problem.solve(solver='CLARABEL')
-        except (cvxpy.error.SolverError, ArithmeticError, ValueError):
-            return None
-        if P.value is None or not np.isfinite(P.value).all():
+        if not answered(problem, P):
             return None
         try:
             if free is not None and len(free):

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import warnings
 
 import numpy as np
 from scipy.optimize import minimize
 
-MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
+from vsensor_ros.designer.semidefinite import answered, solver
+
 MARGIN = 1e-5  # of a rate, that is asked of the solver,
 LEFT = 1e-7  # and that must be left
 RATES = 7  # that are tried between the least and the fastest
@@ -183,12 +183,7 @@ def _worst(A: np.ndarray, G: np.ndarray, rate: float,
 
 def _solve(blend: Blend, rate: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Return S (k, k) and S K_i (V, k, r) as a solver has them; None without an answer."""
-    try:
-        import cvxpy  # large, and needed here only
-    except ImportError:
-        raise ImportError(MISSING) from None
-    if 'CLARABEL' not in cvxpy.installed_solvers():
-        raise ImportError(MISSING)
+    cvxpy = solver()
     k, w = blend.G.shape[1:]
     r, h = len(blend.R), blend.sample_time
     S, width = cvxpy.Variable((k, k), symmetric=True), cvxpy.Variable((1, 1))
@@ -210,13 +205,7 @@ def _solve(blend: Blend, rate: float) -> tuple[np.ndarray, np.ndarray] | None:
                             [np.zeros((w, k)), fall * np.eye(w), D.T], [A, D, S]])
             asked.append(M >> MARGIN * fall * np.eye(2 * k + w))
     problem = cvxpy.Problem(cvxpy.Minimize(width[0, 0]), asked)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # of inaccuracy: what comes is checked
-            problem.solve(solver='CLARABEL')
-    except (cvxpy.error.SolverError, ArithmeticError, ValueError):
-        return None
-    if S.value is None or not np.isfinite(S.value).all():
+    if not answered(problem, S):
         return None
     gains = np.array([getattr(y, 'value', y) for y in Y])  # without R they are no variables
     return (S.value + S.value.T) / 2.0, gains
