@@ -34,13 +34,15 @@ from vsensor_ros.observers.kinds.functional.tracking import (
     horizon,
     Tracking,
 )
+from vsensor_ros.observers.kinds.takagi_sugeno import ScheduledSensor, TAKAGI_SUGENO
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
 register(EXTENDED)
+register(TAKAGI_SUGENO)
 
 __all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
            'Distinction', 'Entry', 'ExtendedSensor', 'Isolability', 'Key', 'Kind', 'Limit',
-           'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'StepOfSome',
-           'Told', 'Tracked', 'Tracking', 'VirtualSensor', 'deviation_after', 'horizon',
-           'kind_named', 'kind_names', 'register', 'settling_time']
+           'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung',
+           'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'VirtualSensor',
+           'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register', 'settling_time']

@@ -1,0 +1,137 @@
+"""A motor whose encoder is lost, by scheduled injection in the bank, beside its simulation."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.bank import Bank
+from vsensor_ros.designer.scheduled import scheduled, ScheduledObserver
+from vsensor_ros.designer.scheduled_entry import scheduled_entry
+from vsensor_ros.observers import Design
+from vsensor_ros.plant import from_equations, load_plant
+
+pytest.importorskip('cvxpy')
+
+MOTOR = """
+name: motor
+time: continuous
+parameters: {R: 0.2, Ld: 0.0008, Lq: 0.0012, flux: 0.0175, pp: 4, J: 0.0008, b: 0.0003}
+states:
+  id: {range: [-60, 60]}
+  iq: {range: [-60, 60]}
+  w: {range: [-400, 400]}
+inputs: {vd: , vq: }
+disturbances: {load: }
+dynamics:
+  id: (vd - R*id + pp*w*Lq*iq)/Ld
+  iq: (vq - R*iq - pp*w*(Ld*id + flux))/Lq
+  w: (1.5*pp*(flux*iq + (Ld - Lq)*id*iq) - b*w)/J + load
+sensors:
+  amp_d: {measures: id, noise: 0.05}
+  amp_q: {measures: iq, noise: 0.05}
+  encoder: {measures: w, noise: 0.5}
+"""
+LOST, STEP, LOAD = ('encoder',), 1e-3, 500.0
+
+
+@pytest.fixture(name='made', scope='module')
+def _made(tmp_path_factory):
+    path = tmp_path_factory.mktemp('motor') / 'motor.yaml'
+    path.write_text(MOTOR)
+    motor = load_plant(path)
+    plant = from_equations(motor, ('id', 'iq'), {'id': (-15, 60)})
+    answer = scheduled(plant, LOST, 'encoder', rate=5.0, noise=motor.noise, unknown=[LOAD])
+    assert isinstance(answer, ScheduledObserver)
+    entry = scheduled_entry(answer, motor.noise, np.array([[-60, 60], [-60, 60], [-400, 400.0]]))
+    return Design(motor.name, motor.hash(), motor.states, motor.inputs, motor.sensors,
+                  dict(motor.units), None, {(LOST, 'encoder'): entry},
+                  ranges=motor.reading_ranges())
+
+
+def slope(x, u, load):
+    """Return what the motor does, written out again."""
+    d, q, w = x
+    return np.array([(u[0] - 0.2 * d + 4 * w * 0.0012 * q) / 0.0008,
+                     (u[1] - 0.2 * q - 4 * w * (0.0008 * d + 0.0175)) / 0.0012,
+                     (6 * (0.0175 * q - 0.0004 * d * q) - 0.0003 * w) / 0.0008 + load])
+
+
+def run(design, seconds, wanted, seed=0):
+    """Yield time [s], bank and true speed; wanted(t): id, iq that a controller holds."""
+    rng, bank, x, fine = np.random.default_rng(seed), Bank(design, 1 / STEP), np.zeros(3), 20
+    for k in range(round(seconds / STEP)):
+        now = round(k * STEP * 1e9)
+        d, q = wanted(k * STEP, x[2])
+        u = np.array([0.2 * d - 4 * x[2] * 0.0012 * q + 0.2 * (d - x[0]),
+                      0.2 * q + 4 * x[2] * (0.0008 * d + 0.0175) + 0.3 * (q - x[1])])
+        for name, value in zip(('amp_d', 'amp_q'), x[:2] + np.clip(
+                0.05 * rng.standard_normal(2), -0.15, 0.15)):
+            bank.take(name, now, value)
+        for name, value in zip(('vd', 'vq'), u):
+            bank.take(name, now, value)
+        bank.advance(now)
+        yield k * STEP, bank, x[2]
+        load = LOAD * (1 if int(k * STEP * 4) % 2 else -1)
+        h = STEP / fine
+        for _ in range(fine):
+            middle = x + h / 2 * slope(x, u, load)
+            x = x + h * slope(middle, u, load)
+
+
+def turning(t, w):
+    """Go from one end of what id may be to the other, and about with the speed."""
+    return 20 + 25 * np.sin(5 * t), np.clip(0.5 * (150 * np.sin(4 * t) - w), -40, 40)
+
+
+def test_the_truth_is_in_the_interval_from_the_start_on(made):
+    widths, off, ready = [], [], 0
+    for _, bank, w in run(made, 1.5, turning):
+        interval = bank.interval(LOST, 'encoder')
+        if interval is None:
+            continue
+        low, high = interval
+        assert low <= w <= high
+        if bank.ready(LOST, 'encoder'):
+            ready += 1
+            widths.append((high - low) / 2)
+            off.append(bank.estimate(LOST, 'encoder') - w)
+    entry = made.entries[LOST, 'encoder']
+    assert ready > 200
+    assert entry.half_width <= min(widths) and np.median(widths) < 2.0 * entry.half_width
+    assert np.sqrt(np.mean(np.square(off))) < entry.half_width / 2
+    assert not bank.outside_domain[LOST, 'encoder']
+
+
+def test_premises_that_leave_their_range_are_counted_and_nothing_is_claimed(made):
+    def leaving(t, w):
+        return (-40 if 0.6 < t < 0.7 else 20), 5 * np.sin(4 * t)
+    before = outside = 0
+    for t, bank, w in run(made, 0.9, leaving):
+        interval = bank.interval(LOST, 'encoder')
+        assert interval is None or interval[0] <= w <= interval[1]
+        if t < 0.6:
+            before = bank.outside_domain[LOST, 'encoder']
+        if 0.65 < t < 0.7:
+            outside += 1
+            assert interval is None and bank.outside_region(LOST, 'encoder')
+    assert before == 0 and outside > 40
+    assert bank.outside_domain[LOST, 'encoder'] > 40
+    assert not bank.outside_region(LOST, 'encoder')
+
+
+def test_a_design_file_holds_it_and_is_checked(made, tmp_path):
+    made.save(tmp_path / 'one.json')
+    read, mine = Design.load(tmp_path / 'one.json').entries[LOST, 'encoder'], made.entries[
+        LOST, 'encoder']
+    assert read.kind == 'takagi_sugeno' and read.memberships == mine.memberships
+    assert np.array_equal(read.N, mine.N) and read.half_width == mine.half_width
+    for key, value in (('memberships', ['2'] * len(mine.N)), ('start', 0.5), ('decay', 0.0),
+                       ('S', (-mine.S).tolist()), ('reads', ['encoder', 'amp_d']), ('N', [[1.0]])):
+        text = json.loads((tmp_path / 'one.json').read_text())
+        [section] = [one for one in text['entries'] if one['kind'] == 'takagi_sugeno']
+        section[key] = value
+        (tmp_path / 'bad.json').write_text(json.dumps(text))
+        with pytest.raises(BadInput, match=key):
+            Design.load(tmp_path / 'bad.json')

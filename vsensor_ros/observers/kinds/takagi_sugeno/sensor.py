@@ -1,0 +1,65 @@
+"""The data of the kind takagi_sugeno."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduledSensor:
+    """
+    A virtual sensor with scheduled injection, in continuous time.
+
+    V submodels, k states, r healthy sensors, m inputs of the plant, p premises.
+    """
+
+    kind: ClassVar[str] = 'takagi_sugeno'
+    method: ClassVar[str] = 'scheduled injection, one form over the range'
+    noise = proof = certificate = None
+
+    channel: str
+    fault_set: tuple[str, ...]
+    reads: tuple[str, ...]  # r
+    inputs: tuple[str, ...]  # m
+    grade: str  # 'exact' or 'bounded'
+    premises: tuple[str, ...]
+    ranges: np.ndarray  # (p, 2)
+    memberships: tuple[str, ...]  # V expressions of the premises
+    from_readings: np.ndarray  # (p, r): premises are this times the readings
+    from_inputs: np.ndarray  # (p, m) and this times the inputs
+    N: np.ndarray  # (V, k, k)
+    J: np.ndarray  # (V, k, r)
+    B: np.ndarray  # (V, k, m)
+    a: np.ndarray  # (V, k)
+    Cv: np.ndarray  # (1, k)
+    Q: np.ndarray  # (1, r)
+    S: np.ndarray  # (k, k) the form of the error: e' S e
+    initial: np.ndarray  # (k,)
+    start: float  # of e' S e at the start, at most; 1 or more
+    decay: float  # 1/s
+    half_width: float  # once e' S e <= 1 [unit of the channel]
+    direct: float  # of that, what noise of the readings does without the states
+
+    def __post_init__(self) -> None:
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Name of what it says."""
+        return (self.channel,)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return self.N.shape[1]
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of the commands that move it, or schedule it."""
+        used = self.B.any(axis=(0, 1)) | self.from_inputs.any(axis=0)
+        return tuple(name for name, one in zip(self.inputs, used) if one)
