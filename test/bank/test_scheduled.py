@@ -5,12 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from vsensor_ros import design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import Bank
-from vsensor_ros.designer.scheduled import scheduled, ScheduledObserver
-from vsensor_ros.designer.scheduled_entry import scheduled_entry
 from vsensor_ros.observers import Design
-from vsensor_ros.plant import from_equations, load_plant
 
 pytest.importorskip('cvxpy')
 
@@ -19,11 +17,11 @@ name: motor
 time: continuous
 parameters: {R: 0.2, Ld: 0.0008, Lq: 0.0012, flux: 0.0175, pp: 4, J: 0.0008, b: 0.0003}
 states:
-  id: {range: [-60, 60]}
+  id: {range: [-15, 60]}
   iq: {range: [-60, 60]}
   w: {range: [-400, 400]}
-inputs: {vd: , vq: }
-disturbances: {load: }
+inputs: {vd: {range: [-60, 60]}, vq: {range: [-60, 60]}}
+disturbances: {load: {range: [-500, 500]}}
 dynamics:
   id: (vd - R*id + pp*w*Lq*iq)/Ld
   iq: (vq - R*iq - pp*w*(Ld*id + flux))/Lq
@@ -40,14 +38,7 @@ LOST, STEP, LOAD = ('encoder',), 1e-3, 500.0
 def _made(tmp_path_factory):
     path = tmp_path_factory.mktemp('motor') / 'motor.yaml'
     path.write_text(MOTOR)
-    motor = load_plant(path)
-    plant = from_equations(motor, ('id', 'iq'), {'id': (-15, 60)})
-    answer = scheduled(plant, LOST, 'encoder', rate=5.0, noise=motor.noise, unknown=[LOAD])
-    assert isinstance(answer, ScheduledObserver)
-    entry = scheduled_entry(answer, motor.noise, np.array([[-60, 60], [-60, 60], [-400, 400.0]]))
-    return Design(motor.name, motor.hash(), motor.states, motor.inputs, motor.sensors,
-                  dict(motor.units), None, {(LOST, 'encoder'): entry},
-                  ranges=motor.reading_ranges())
+    return design(load_plant(path), [LOST])
 
 
 def slope(x, u, load):
@@ -58,9 +49,9 @@ def slope(x, u, load):
                      (6 * (0.0175 * q - 0.0004 * d * q) - 0.0003 * w) / 0.0008 + load])
 
 
-def run(design, seconds, wanted, seed=0):
+def run(made, seconds, wanted, seed=0):
     """Yield time [s], bank and true speed; wanted(t): id, iq that a controller holds."""
-    rng, bank, x, fine = np.random.default_rng(seed), Bank(design, 1 / STEP), np.zeros(3), 20
+    rng, bank, x, fine = np.random.default_rng(seed), Bank(made, 1 / STEP), np.zeros(3), 20
     for k in range(round(seconds / STEP)):
         now = round(k * STEP * 1e9)
         d, q = wanted(k * STEP, x[2])
@@ -107,18 +98,26 @@ def test_the_truth_is_in_the_interval_from_the_start_on(made):
 def test_premises_that_leave_their_range_are_counted_and_nothing_is_claimed(made):
     def leaving(t, w):
         return (-40 if 0.6 < t < 0.7 else 20), 5 * np.sin(4 * t)
-    before = outside = 0
-    for t, bank, w in run(made, 0.9, leaving):
+    before, outside, ready = 0, 0, []
+    for t, bank, w in run(made, 1.8, leaving):
         interval = bank.interval(LOST, 'encoder')
         assert interval is None or interval[0] <= w <= interval[1]
         if t < 0.6:
             before = bank.outside_domain[LOST, 'encoder']
-        if 0.65 < t < 0.7:
+            assert not (t > 0.5) or bank.ready(LOST, 'encoder')
+        elif 0.65 < t < 0.7:
             outside += 1
             assert interval is None and bank.outside_region(LOST, 'encoder')
+            assert not bank.ready(LOST, 'encoder')
+        elif t > 0.7 and bank.ready(LOST, 'encoder'):
+            ready.append((t, abs(bank.estimate(LOST, 'encoder') - w)))
     assert before == 0 and outside > 40
     assert bank.outside_domain[LOST, 'encoder'] > 40
     assert not bank.outside_region(LOST, 'encoder')
+    # it started again: it is ready once that is forgotten, and right from then on
+    (first, _), *_ = ready
+    entry = made.entries[LOST, 'encoder']
+    assert first > 0.75 and max(off for _, off in ready) < entry.half_width
 
 
 def test_a_design_file_holds_it_and_is_checked(made, tmp_path):

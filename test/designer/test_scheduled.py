@@ -1,12 +1,16 @@
 """Scheduled virtual sensors: equalities, inequalities and what they prove, beside the truth."""
 
+from dataclasses import replace
+
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
+from vsensor_ros import design
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.scheduled import scheduled, ScheduledObserver, where_it_holds
 from vsensor_ros.designer.scheduled_proof import Blend, margin_left
+from vsensor_ros.observers import Refusal, VirtualSensor
 from vsensor_ros.plant import from_equations, grid_memberships, load_plant, TakagiSugeno
 
 pytest.importorskip('cvxpy')
@@ -219,3 +223,39 @@ def test_bad_questions_get_one_line(motor):
         scheduled(plant, ['encoder'], 'encoder', **{**asked, 'rate': 0.0})
     refused = scheduled(plant, ['encoder'], 'encoder', **asked)
     assert str(refused) == ('load cannot be kept out, and no range says how large it may be')
+
+
+def test_premises_that_are_read_wrong_are_in_the_half_width():
+    """Held at x = 0.97, v = 1.94 x, p is read as 1: what is said of v is off by 0.058."""
+    plant = TakagiSugeno.of_submodels(
+        [[[-1.0, 0.0], [0.0, -2.0]], [[-1.0, 0.0], [4.0, -2.0]]], None, np.eye(2),
+        states=['x', 'v'], premises={'x': [0.0, 1.0]}, memberships=['1 - x', 'x'])
+    asked = {'rate': 1.0, 'noise': np.array([0.01, 0.1]), 'unknown': np.zeros(0)}
+    alone = scheduled(plant, ['y2'], 'y2', **asked)
+    both = scheduled(plant, ['y2'], 'y2', **asked, box=np.array([[0.0, 1.0], [-np.inf, np.inf]]))
+    x = np.array([[0.97], [2.0 * 0.97**2]])  # where v' = 0 if something holds x there
+    z = both.Phi @ x
+    for _ in range(10_000):
+        z = z + 1e-3 * both.rate_of_change(z, x[:1], np.zeros((0, 1)), np.array([[1.0]]))
+        z = both.Phi @ np.vstack([x[:1], (both.Phi.T @ z)[1:]])  # as what holds it does there
+    off = abs(both.estimate(z, x[:1])[0] - x[1, 0])
+    assert off == pytest.approx(0.058, rel=0.01)
+    assert alone.half_width < off < both.half_width
+    moved = TakagiSugeno.of_submodels(
+        [[[-1.0, 0.0], [0.0, -2.0]], [[-1.0, 0.0], [0.0, -3.0]]], None, np.eye(2),
+        states=['x', 'v'], premises={'x': [0.0, 1.0]}, memberships=['1 - x', 'x'])
+    refused = scheduled(moved, ['y2'], 'y2', **asked, box=np.array([[0.0, 1.0], [0.0, np.inf]]))
+    assert refused.code == 'states without ranges'
+
+
+@pytest.mark.parametrize('load, why', [(400.0, 'do not see'), (np.inf, 'says how large')])
+def test_a_design_says_why_it_takes_none(motor, load, why):
+    plant = replace(motor, disturbance_range=np.array([[-load, load]]))
+    entry = design(plant, [['encoder']])[('encoder',), 'encoder']
+    assert isinstance(entry, Refusal) and why in entry.reason
+    assert why not in design(plant, [['encoder']], scheduled=False)[
+        ('encoder',), 'encoder'].reason
+
+
+def test_constant_gains_that_are_proved_go_before(motor):
+    assert isinstance(design(motor, [['amp_d']])[('amp_d',), 'amp_d'], VirtualSensor)

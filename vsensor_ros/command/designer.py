@@ -142,6 +142,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--isolate', action='store_true',
                         help='say whose fault can be told from whose, and design what tells it: '
                         'pairs, and filters that read all sensors but one')
+    parser.add_argument('--no-scheduled', dest='scheduled', action='store_false', default=None,
+                        help='no virtual sensors whose injection follows the readings, where '
+                        'constant gains are not proved over the declared ranges')
     parser.add_argument('--no-extended', dest='extended', action='store_false', default=None,
                         help='no Kalman filters on the equations, of which nothing is proved, '
                         'where the plant says how far off its parameters may be')
@@ -180,7 +183,8 @@ def _jobs(text: str) -> int:
 
 def _choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return what was chosen for the design; what was not said is left to it."""
-    names = ('up_to', 'prefer', 'decay', 'method', 'temporary', 'extended', 'spread')
+    names = ('up_to', 'prefer', 'decay', 'method', 'temporary', 'scheduled', 'extended',
+             'spread')
     chosen = {name: value for name in names if (value := getattr(options, name)) is not None}
     flags = ('bounded', 'isolate')
     return {**chosen, **{name: True for name in flags if getattr(options, name)}}

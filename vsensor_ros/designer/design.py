@@ -28,9 +28,11 @@ from vsensor_ros.designer.existence import (
 )
 from vsensor_ros.designer.extended import extended as filtered
 from vsensor_ros.designer.isolate import isolated
+from vsensor_ros.designer.noise import usual_decay
 from vsensor_ros.designer.order_noise import doubtful, search_orders
 from vsensor_ros.designer.order_walk import LARGE
 from vsensor_ros.designer.problem import pose, Problem
+from vsensor_ros.designer.scheduled_entry import over_the_ranges
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.singular_values import singular
 from vsensor_ros.designer.start import started
@@ -41,13 +43,14 @@ from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.designer.unfinished import name_of, Unfinished
 from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Entry, Key, Refusal, VirtualSensor
+from vsensor_ros.observers import Design, Entry, Key, Refusal, ScheduledSensor, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
 PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s
 LARGEST = 1e100
+SLOWEST = 0.1  # times the usual decay: errors of scheduled ones die out no slower
 METHODS = ('jordan', 'identification', 'svd')
 
 
@@ -59,6 +62,7 @@ class Choices(NamedTuple):
     bounded: bool
     method: str | None
     temporary: bool
+    scheduled: bool
     extended: bool
     spread: float | None
 
@@ -66,8 +70,8 @@ class Choices(NamedTuple):
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
            up_to: int | None = None, wanted: Mapping[str, Any] | None = None,
            prefer: str = 'quiet', decay: float | None = None, bounded: bool = False,
-           method: str | None = None, temporary: bool = True, extended: bool = True,
-           spread: float | None = None, isolate: bool = False,
+           method: str | None = None, temporary: bool = True, scheduled: bool = True,
+           extended: bool = True, spread: float | None = None, isolate: bool = False,
            progress: Progress | None = None,
            executor: Executor | None = None, work_file: str | Path | None = None) -> Design:
     """
@@ -83,26 +87,29 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
     latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
-    after its channel was lost. ``extended``: where nothing is proved where it works, and the plant
-    states how far off its parameters may be, hand out a Kalman filter on the equations, of grade
-    'filtered'. ``spread``: how far off those parameters are of which the plant says nothing, one
-    standard deviation, as a share of their values. ``isolate``: design, too, what tells whose
-    fault it is, see ``Design.isolability``. ``progress`` is told what is done, of how many, and
-    what is next. ``executor``: who does the work, with the same result (`designer/sweep.py`).
-    ``work_file``: answers are kept there as they come, and those that it holds are not sought
-    again. Raises BadInput for what is not a name of a sensor or a choice, Unfinished when some
-    channels met an error or a worker that died. Source: method, section 3.
+    after its channel was lost. ``scheduled``: where nothing is proved where it works, hand out one
+    whose injection follows the readings, if that is proved over the declared ranges.
+    ``extended``: where that is not proved either, and the plant states how far off its parameters
+    may be, hand out a Kalman filter on the equations, of grade 'filtered'. ``spread``: how far off
+    those parameters are of which the plant says nothing, one standard deviation, as a share of
+    their values. ``isolate``: design, too, what tells whose fault it is, see
+    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
+    ``executor``: who does the work, with the same result (`designer/sweep.py`). ``work_file``:
+    answers are kept there as they come, and those that it holds are not sought again. Raises
+    BadInput for what is not a name of a sensor or a choice, Unfinished when some channels met an
+    error or a worker that died. Source: method, section 3.
     """
-    choices = Choices(prefer, decay, bounded, method, temporary, extended, spread)
+    choices = Choices(prefer, decay, bounded, method, temporary, scheduled, extended, spread)
     _check(plant, prefer, decay, method, spread, {
-        'bounded': bounded, 'temporary': temporary, 'extended': extended, 'isolate': isolate})
+        'bounded': bounded, 'temporary': temporary, 'scheduled': scheduled,
+        'extended': extended, 'isolate': isolate})
     if not isinstance(executor, Executor | None):
         raise BadInput('design', 'executor', f'{shown(executor)} is not an executor',
                        'give a concurrent.futures.Executor, such as Client.get_executor() of Dask')
     if isolate:
         plain = partial(design, plant, prefer=prefer, decay=decay, bounded=bounded, method=method,
-                        temporary=temporary, extended=extended, spread=spread, progress=progress,
-                        executor=executor)
+                        temporary=temporary, scheduled=scheduled, extended=extended, spread=spread,
+                        progress=progress, executor=executor)
         asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
         with calmly():
             # the work file tells whose functionals it holds, and pairs have none
@@ -203,7 +210,15 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
         found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
             problem, choices.prefer, choices.decay, choices.bounded, choices.method,
             choices.temporary))
-        if choices.extended and not _proved(problem.plant, found):
+        if _proved(problem.plant, found):
+            return found if lost is not None else part.entry_of_whole(found)
+        if choices.scheduled and choices.method is None:
+            over = _scheduled(plant, key, choices.decay or SLOWEST * usual_decay(problem))
+            if isinstance(over, ScheduledSensor):
+                return replace(over, why=_why(found))
+            if over is not None:
+                found = _not_scheduled(found, over)
+        if choices.extended:
             instead = filtered(plant, fault_set, channel, choices.spread)
             if instead is not None:
                 return replace(instead, why=_why(found))
@@ -295,6 +310,21 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     if isinstance(fault_sets, Set):  # the order of a set differs from run to run
         checked.sort(key=lambda s: (len(s), [plant.sensors.index(name) for name in s]))
     return list(dict.fromkeys(checked))
+
+
+def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason | None:
+    """Return one that follows the readings; why not, where the desk could say; None: not asked."""
+    try:
+        return over_the_ranges(plant, *key, rate)
+    except ImportError:  # the certificate has said what is missing
+        return None
+
+
+def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:
+    """Say why gains that follow the readings would not do better."""
+    nor = say(Reason.of('not scheduled', why=say(why)))
+    return (replace(entry, reason=f'{entry.reason}; {nor}') if isinstance(entry, Refusal)
+            else replace(entry, method=f'{entry.method}; {nor}'))
 
 
 def _proved(plant: Plant, entry: VirtualSensor | Refusal) -> bool:

@@ -3,14 +3,15 @@ Scheduled virtual sensors of Takagi-Sugeno plants, with one proof over the decla
 
 z' = sum_i h_i(p) (N_i z + J_i y0 + B_i u + a_i), vhat = Cv z + Q y0. The functional z = Phi x is
 constant: a scheduled one would bring in how fast the premises change, and with it the unknown
-input. What is injected is scheduled. The premises are read by healthy sensors. The proof holds
-for premises as they are; what their noise adds is not in it.
+input. What is injected is scheduled. The premises are read by healthy sensors; what their noise
+adds, e' = .. + Phi (f(x, u, p) - f(x, u, read p)), is one more bounded input.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import itertools
 
 import numpy as np
 from scipy.linalg import null_space, orth
@@ -23,6 +24,8 @@ from vsensor_ros.reason import Reason
 ROUNDING = 1e-9  # relative, of ranks, and to which the equalities must hold
 SPREAD = 3.0  # standard deviations of a reading that are within bounds
 _POINTS = 200  # premises at which pairs are looked at
+_STRAYED = 4000  # points at which premises that are read wrong are looked at, beside corners
+_MOST_CORNERS = 4096
 ASIDE = 0.1  # of a range: how far a narrower one keeps off where there is no answer
 
 
@@ -66,14 +69,16 @@ class ScheduledObserver:
 
 
 def scheduled(plant: TakagiSugeno, fault_set: Sequence[str], channel: str, *, rate: float,
-              noise: np.ndarray, unknown: np.ndarray) -> ScheduledObserver | Reason:
+              noise: np.ndarray, unknown: np.ndarray,
+              box: np.ndarray | None = None) -> ScheduledObserver | Reason:
     """
     Return a scheduled virtual sensor for a channel lost with others, or why there is none.
 
     rate [1/s]: at which an error must die out; noise (l,): standard deviations of the readings,
     bounded by three of them; unknown (d,): bounds of the unknown inputs, infinite where none is
-    known. They are decoupled where that can be, else bounded. Raises BadInput, or ImportError
-    where the desk's solver is missing.
+    known. They are decoupled where that can be, else bounded. box (n + m, 2): in which states and
+    inputs are, so that the noise of what reads the premises counts; None: it does not. Raises
+    BadInput, or ImportError where the desk's solver is missing.
     """
     for name in (*fault_set, channel):
         if name not in plant.sensors:
@@ -104,10 +109,18 @@ def scheduled(plant: TakagiSugeno, fault_set: Sequence[str], channel: str, *, ra
     R, Ry = -left[:, :k], left[:, k:]  # Ry C0 = R Phi
     read = SPREAD * np.asarray(noise, dtype=float)[healthy]
     size = np.zeros(0) if decoupled else np.asarray(unknown, dtype=float)
-    whole = np.sqrt(len(size) + r)  # the box of all bounds lies within this times its ellipsoid
-    load = (Phi @ plant.E) * size * whole if len(size) else np.zeros((len(N), k, 0))
-    G = np.concatenate([load, -J * read * whole], axis=2)
-    H = np.hstack([np.zeros((len(R), len(size))), -Ry * read * whole])
+    stray = np.zeros(k) if box is None else _strayed(
+        plant, Phi, abs(premises_from(plant, C0)[0]) @ read, box)
+    if not np.isfinite(stray).all():
+        return Reason.of('states without ranges', channel=channel)
+    strays = np.diag(stray)[:, stray > 0.0]
+    # the box of all bounds lies within this times its ellipsoid
+    whole = np.sqrt(len(size) + r + strays.shape[1])
+    load = (Phi @ plant.E) * size if len(size) else np.zeros((len(N), k, 0))
+    G = whole * np.concatenate(
+        [load, -J * read, np.broadcast_to(strays, (len(N), *strays.shape))], axis=2)
+    H = whole * np.hstack([np.zeros((len(R), len(size))), -Ry * read,
+                           np.zeros((len(R), strays.shape[1]))])
     blend = Blend(N, R, G, H, Cv[0], plant.sample_time)
     at, near = nearest_undetectable(blend, plant.weights, plant.points(_POINTS), plant.ranges,
                                     rate)
@@ -148,6 +161,59 @@ def where_it_holds(make: Callable[[dict[str, tuple[float, float]]], TakagiSugeno
                 if isinstance(answer, ScheduledObserver):
                     found.append(((ends[1] - ends[0]) / (high - low), answer))
     return [answer for _, answer in sorted(found, key=lambda one: -one[0])]
+
+
+def premises_from(plant: TakagiSugeno, C0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what makes premises of healthy readings (p, r), and of inputs (p, m)."""
+    of_states = np.linalg.pinv(C0, rcond=ROUNDING)  # x, where the readings tell it
+    readings = np.zeros((len(plant.premises), len(C0)))
+    inputs = np.zeros((len(plant.premises), len(plant.inputs)))
+    for i, name in enumerate(plant.premises):
+        if name in plant.states:
+            readings[i] = of_states[plant.states.index(name)]
+        else:
+            inputs[i, plant.inputs.index(name)] = 1.0
+    return readings, inputs
+
+
+def _strayed(plant: TakagiSugeno, Phi: np.ndarray, off: np.ndarray,
+             box: np.ndarray) -> np.ndarray:
+    """
+    Return how far (k,) premises that are read wrong by off (p,) lead Phi x astray, at most.
+
+    At the corners of the box, where they are not too many, and at random points: between corners
+    nothing is larger where submodels are blended linearly in each premise. Infinite where it
+    depends on what has no range.
+    """
+    n, m = len(plant.states), len(plant.inputs)
+    feels = abs(Phi @ (plant.A - plant.A[0])).max(axis=(0, 1)), \
+        abs(Phi @ (plant.B - plant.B[0])).max(axis=(0, 1))
+    moves = (np.concatenate(feels) > ROUNDING) | np.isin(
+        (*plant.states, *plant.inputs), plant.premises)
+    if not off.any() or not moves.any():
+        return np.zeros(len(Phi))
+    for i, name in enumerate((*plant.states, *plant.inputs)):
+        if name in plant.premises:
+            box = np.where(np.arange(n + m)[:, None] == i,
+                           plant.ranges[plant.premises.index(name)], box)
+    if not np.isfinite(box[moves]).all():
+        return np.full(len(Phi), np.inf)
+    low, high = np.where(moves[:, None], box, 0.0).T
+    random = np.random.default_rng(0)
+    share = random.random((n + m, _STRAYED))
+    sides = np.sign(random.random((len(off), _STRAYED)) - 0.5)
+    which = np.flatnonzero(np.r_[moves, off > 0.0])
+    if 2**len(which) <= _MOST_CORNERS:
+        corners = np.zeros((n + m + len(off), 2**len(which)))
+        corners[which] = np.array(list(itertools.product((0.0, 1.0), repeat=len(which)))).T
+        share = np.hstack([share, corners[:n + m]])
+        sides = np.hstack([sides, 2.0 * corners[n + m:] - 1.0])
+    x, u = np.split(low[:, None] + (high - low)[:, None] * share, [n])
+    at = plant.premises_of(x, u)
+    read = np.clip(at + off[:, None] * sides, *plant.ranges.T[:, :, None])
+    each = Phi @ (plant.A @ x + plant.B @ u + plant.a[:, :, None])
+    return np.asarray(abs(np.einsum(
+        'vk,vnk->nk', plant.weights(read) - plant.weights(at), each)).max(axis=1))
 
 
 def _unread(plant: TakagiSugeno, C0: np.ndarray) -> tuple[str, ...]:

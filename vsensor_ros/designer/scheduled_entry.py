@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.designer.scheduled import ROUNDING, ScheduledObserver, SPREAD
+from vsensor_ros.designer.scheduled import premises_from, scheduled, ScheduledObserver, SPREAD
 from vsensor_ros.observers import ScheduledSensor
+from vsensor_ros.plant import from_equations, Plant
+from vsensor_ros.reason import Reason
+
+MOST = 16  # submodels that a design tries
+
+
+def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
+                    rate: float) -> ScheduledSensor | Reason | None:
+    """
+    Return one for a channel that has failed with others, proved over the plant's ranges.
+
+    rate [1/s]: at which an error must die out at least. A reason where the ranges forbid it; None
+    where the plant is not of this kind: equations in continuous time, with few products, that
+    declare ranges and noise. Raises ImportError where the desk's solver is missing.
+    """
+    if channel not in fault_set or not plant.equations or plant.sample_time is not None or \
+            plant.Cd.any() or plant.Cu.any() or not np.isfinite(plant.noise).all():
+        return None
+    C0 = plant.C[[name not in fault_set for name in plant.sensors]]
+    told = np.abs(np.linalg.pinv(C0) @ C0 - np.eye(len(plant.states))).max(axis=1, initial=0.0)
+    try:
+        made = from_equations(
+            plant, [name for name, off in zip(plant.states, told) if off < 1e-9])
+    except BadInput:  # a range is open, or there are too many products
+        return None
+    if not 1 < len(made.A) <= MOST:
+        return None
+    answer = scheduled(made, fault_set, channel, rate=rate, noise=plant.noise,
+                       unknown=abs(plant.disturbance_range).max(axis=1),
+                       box=np.vstack([plant.ranges, plant.input_range]))
+    if isinstance(answer, Reason):
+        return answer
+    moves = answer.Phi.any(axis=0)
+    return scheduled_entry(answer, plant.noise, plant.ranges) if np.isfinite(
+        plant.ranges[moves]).all() else None
 
 
 def scheduled_entry(observer: ScheduledObserver, noise: np.ndarray,
@@ -23,25 +56,20 @@ def scheduled_entry(observer: ScheduledObserver, noise: np.ndarray,
     plant = observer.plant
     if plant.sample_time is not None:
         raise BadInput(plant.name, 'time', 'is discrete', 'give a plant in continuous time')
-    if not np.isfinite(ranges).all():
+    used = observer.Phi.any(axis=0)
+    if not np.isfinite(ranges[used]).all():
         raise BadInput(plant.name, 'ranges', 'are open', 'give low and high of each state')
     rows = [plant.sensors.index(name) for name in observer.reads]
-    C0, read = plant.C[rows], SPREAD * np.asarray(noise, dtype=float)[rows]
-    of_states = np.linalg.pinv(C0, rcond=ROUNDING)  # x, where the readings tell it
-    from_readings = np.zeros((len(plant.premises), len(rows)))
-    from_inputs = np.zeros((len(plant.premises), len(plant.inputs)))
-    for i, name in enumerate(plant.premises):
-        if name in plant.states:
-            from_readings[i] = of_states[plant.states.index(name)]
-        else:
-            from_inputs[i, plant.inputs.index(name)] = 1.0
-    half = (ranges[:, 1] - ranges[:, 0]) / 2
-    signs = np.array(list(itertools.product((-1, 1), repeat=len(half))))
-    corners = observer.Phi @ (half * signs).T
+    read = SPREAD * np.asarray(noise, dtype=float)[rows]
+    from_readings, from_inputs = premises_from(plant, plant.C[rows])
+    low, high = ranges[used].T
+    # e' S e from the middle of a box is at most that of all its half sides in a row
+    sides = np.linalg.cholesky(observer.S).T @ observer.Phi[:, used] * (high - low) / 2
     return ScheduledSensor(
         observer.channel, observer.fault_set, observer.reads, plant.inputs,
         'exact' if observer.decoupled else 'bounded', plant.premises, plant.ranges,
         plant.memberships, from_readings, from_inputs, observer.N, observer.J, observer.B,
-        observer.a, observer.Cv, observer.Q, observer.S, observer.Phi @ ranges.mean(axis=1),
-        max(1.0, float(np.einsum('kc,kl,lc->c', corners, observer.S, corners).max())),
+        observer.a, observer.Cv, observer.Q, observer.S,
+        observer.Phi[:, used] @ (low + high) / 2,
+        max(1.0, float(np.linalg.norm(sides, axis=0).sum())**2),
         observer.rate, observer.half_width, float(abs(observer.Q[0]) @ read))

@@ -236,6 +236,9 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'bias taken for': _bias_taken_for,
     'not built': _not_built,
 
+    'not scheduled': lambda why: f'gains that follow the readings do no better: {why}',
+    'states without ranges': lambda channel: (
+        f'what {channel} depends on has no range: declare where the states and inputs live'),
     'premise not read': lambda names: (
         f'no healthy sensor reads {listed(names)}, of which the submodels depend'),
     'not of the states': lambda channel: (

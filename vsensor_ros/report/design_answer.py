@@ -148,7 +148,7 @@ def _refused(entry: Refusal) -> list[str]:
 def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
     unit = result.units.get(entry.channel, '')
     if not isinstance(entry, VirtualSensor):
-        return [line for name, value in design_text.facts(entry, unit)
+        return [line for name, value in design_text.facts(entry, unit, result.units)
                 for line in _hanging(name, value, 18)]
     terms = [entry.terms[i].short for i in entry.active
              if entry.terms[i].text != '1']  # an offset of the equations, which bends nothing

@@ -18,6 +18,7 @@ from vsensor_ros.observers import (
     ExtendedSensor,
     Refusal,
     Rung,
+    ScheduledSensor,
     settling_time,
     VirtualSensor,
 )
@@ -309,6 +310,8 @@ def certified(entry: Entry) -> str:
     """Return the certificate in a word, for a table."""
     if entry.grade == 'temporary':
         return 'for a time only'
+    if isinstance(entry, ScheduledSensor):
+        return 'over the ranges'
     if entry.certificate is None:
         linear = isinstance(entry, VirtualSensor) and not entry.active
         return 'linear: everywhere' if linear else 'not certified'
@@ -316,13 +319,20 @@ def certified(entry: Entry) -> str:
         entry.certificate.status, 'NOT certified')
 
 
-def facts(entry: Entry, unit: str) -> list[tuple[str, str]]:
+def facts(entry: Entry, unit: str, units: Mapping[str, str]) -> list[tuple[str, str]]:
     """Say what there is to say of a virtual sensor of any kind: names and texts."""
     if isinstance(entry, ExtendedSensor):
         said = [('order', f'{entry.order}, the states of the plant'),
                 ('good', grows(entry, unit)), ('decay', decay(entry)), ('reads', reads(entry)),
                 ('found as', entry.method), ('stability', FILTERED), ('why a filter', entry.why)]
         return [(name, text) for name, text in said if text]
+    if isinstance(entry, ScheduledSensor):
+        return [('order', f'{entry.order} (nothing proved of the least)'),
+                ('good', f'within {number(entry.half_width, unit)}, once its start is forgotten'),
+                ('decay', decay(entry)), ('reads', reads(entry)), ('found as', entry.method),
+                ('stability', f'one form of the error falls at all {len(entry.N)} submodels while '
+                 + ', '.join(_between((name, low, high), units) for name, (low, high) in zip(
+                     entry.premises, entry.ranges))), ('why scheduled', entry.why)]
     return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
              ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
              ('grade', entry.grade), ('found as', entry.method)]

@@ -372,7 +372,8 @@ def _entries(plant: Plant, design: Design,
 def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
     unit = design.units.get(entry.channel, '')
     if not isinstance(entry, VirtualSensor):
-        return _facts([(name, escape(value)) for name, value in design_text.facts(entry, unit)])
+        return _facts([(name, escape(value)) for name, value in design_text.facts(
+            entry, unit, design.units)])
     temporary = entry.grade == 'temporary'
     allowed = for_a_time.tolerances(design, entry) if temporary else []
     facts = [

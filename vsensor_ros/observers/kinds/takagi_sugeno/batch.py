@@ -14,6 +14,9 @@ from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.batch import Batch, Told
 from vsensor_ros.observers.kinds.takagi_sugeno.sensor import ScheduledSensor
+from vsensor_ros.reason import add_sentences, Reason
+
+add_sentences({'premises out of range': 'nothing is proved where {names} are now'})
 
 SETTLED = 0.05  # of the half-width: what is left of the start when it is ready
 SURE = 2.0  # standard deviations in a half-width
@@ -21,7 +24,7 @@ SURE = 2.0  # standard deviations in a half-width
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScheduledBatch(Batch):
-    """V of one output; a state is z, padded, and the bound of e' S e."""
+    """V of one output; a state is z, padded, the bound of e' S e and the time [s] it has run."""
 
     entries: tuple[ScheduledSensor, ...]
     weights: tuple[Equations, ...]
@@ -30,7 +33,7 @@ class ScheduledBatch(Batch):
     N: np.ndarray  # (V, submodels, k, k), padded with zeros as all below
     drive: np.ndarray  # (V, submodels, k, L + m)
     a: np.ndarray  # (V, submodels, k)
-    first: np.ndarray  # (V, k + 1)
+    first: np.ndarray  # (V, k + 2)
     row: np.ndarray  # (V, k)
     S: np.ndarray  # (V, k, k)
     Q: np.ndarray  # (V, L)
@@ -43,7 +46,7 @@ class ScheduledBatch(Batch):
     def step(self, z: np.ndarray, before: Told, after: Told,
              commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Step exactly: matrices in the mean, what drives them as a straight line."""
-        k = self.width - 1
+        k = self.width - 2
         ends = [np.concatenate([told.y, u]) for told, u in zip((before, after), commands)]
         (h0, in0), (h1, in1) = (self._weighed(end) for end in ends)
         g0, g1 = (np.einsum('vs,vsk->vk', h, self.drive @ end + self.a)
@@ -62,7 +65,7 @@ class ScheduledBatch(Batch):
         off = self.period / 2 * (g1 - g0 + ((N1 - N0) @ z[:, :k, None])[:, :, 0])
         unseen = np.sqrt(np.einsum('vk,vkl,vl->v', off, self.S, off))
         bound = (np.sqrt(1.0 + (z[:, k] - 1.0) * self.fading) + unseen)**2
-        ended = np.concatenate([ended, bound[:, None]], axis=1)
+        ended = np.column_stack([ended, bound, z[:, k + 1] + self.period])
         return np.where(inside[:, None], ended, self.first), ~inside
 
     def _weighed(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +81,17 @@ class ScheduledBatch(Batch):
 
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return Cv z + Q y0 of each."""
-        return np.asarray((z[..., :-1] * self.row).sum(axis=-1) + y @ self.Q.T)
+        return np.asarray((z[..., :-2] * self.row).sum(axis=-1) + y @ self.Q.T)
+
+    def waiting(self, output: int, z: np.ndarray, age: float) -> float:
+        """Count from when premises came back into their ranges: there it started again."""
+        return max(0.0, float(self.warm_up[output] - z[output, -1]))
+
+    def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
+        """Say nothing while premises are out of their ranges."""
+        if not self.outside_region(output, z, told):
+            return None
+        return Reason.of('premises out of range', names=self.entries[output].premises)
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether premises are out of their ranges."""
@@ -102,7 +115,7 @@ class ScheduledBatch(Batch):
 
     def _half_width(self, output: int, z: np.ndarray) -> float:
         entry = self.entries[output]
-        grown = math.sqrt(max(1.0, float(z[output, -1])))
+        grown = math.sqrt(max(1.0, float(z[output, -2])))
         return (entry.half_width - entry.direct) * grown + entry.direct
 
 
@@ -113,7 +126,7 @@ def make_batch(entries: Sequence[ScheduledSensor], design: Contents, period: flo
     k, S = max(e.order for e in entries), max(len(e.N) for e in entries)
     N, drive = np.zeros((V, S, k, k)), np.zeros((V, S, k, L + m))
     form = np.zeros((V, k, k))
-    a, first, row = np.zeros((V, S, k)), np.zeros((V, k + 1)), np.zeros((V, k))
+    a, first, row = np.zeros((V, S, k)), np.zeros((V, k + 2)), np.zeros((V, k))
     Q, needs, premises = np.zeros((V, L)), np.zeros((V, L + m), dtype=bool), []
     for i, e in enumerate(entries):
         s, n = e.N.shape[:2]
@@ -125,12 +138,12 @@ def make_batch(entries: Sequence[ScheduledSensor], design: Contents, period: flo
         for j, column in enumerate(columns):
             drive[i, :s, :n, column], premise[:, column] = e.J[:, :, j], e.from_readings[:, j]
         premises.append(premise)
-        first[i, :n], first[i, -1] = e.initial, e.start
+        first[i, :n], first[i, -2] = e.initial, e.start
         needs[i, columns] = True
         needs[i, [L + design.inputs.index(name) for name in e.commands]] = True
     decay = np.array([e.decay for e in entries])
     return ScheduledBatch(
-        keys=tuple((e.fault_set, e.channel) for e in entries), of=np.arange(V), width=k + 1,
+        keys=tuple((e.fault_set, e.channel) for e in entries), of=np.arange(V), width=k + 2,
         runs_on=needs, starts_on=needs.copy(),
         own=np.array([design.sensors.index(e.channel) for e in entries], dtype=int),
         error=np.array([e.half_width / SURE for e in entries]), assumed=np.zeros(V, dtype=bool),

@@ -22,6 +22,7 @@ def write_section(entry: ScheduledSensor) -> dict[str, Any]:
     """Return what the design file says of one, but for its kind, channel and fault set."""
     return {'reads': list(entry.reads), 'grade': entry.grade, 'premises': list(entry.premises),
             'memberships': list(entry.memberships), 'order': entry.order,
+            **({'why': entry.why} if entry.why else {}),
             **{key: getattr(entry, key) for key in _NUMBERS},
             **{key: getattr(entry, key).tolist() for key in _ARRAYS}}
 
@@ -29,7 +30,7 @@ def write_section(entry: ScheduledSensor) -> dict[str, Any]:
 def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...], plant: Contents,
                  version: int) -> ScheduledSensor:
     """Read what write_section wrote; raises BadInput."""
-    reader.only(('reads', 'grade', 'premises', 'memberships', 'order', *_NUMBERS, *_ARRAYS))
+    reader.only(('reads', 'grade', 'premises', 'memberships', 'order', *_NUMBERS, *_ARRAYS, 'why'))
     reads, premises = reader.names('reads'), reader.names('premises')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -62,6 +63,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
             raise reader.fail(key, f'must be {least:g} or more')
     if not numbers['decay'] > 0.0:
         raise reader.fail('decay', 'must be positive')
+    rest: dict[str, Any] = {
+        **arrays, **numbers, 'why': reader.text('why') if 'why' in reader.record else ''}
     return ScheduledSensor(channel, fault_set, reads, plant.inputs,
                            reader.word('grade', ('exact', 'bounded')), premises,
-                           memberships=memberships, **arrays, **numbers)
+                           memberships=memberships, **rest)

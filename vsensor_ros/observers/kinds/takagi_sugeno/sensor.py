@@ -42,6 +42,7 @@ class ScheduledSensor:
     decay: float  # 1/s
     half_width: float  # once e' S e <= 1 [unit of the channel]
     direct: float  # of that, what noise of the readings does without the states
+    why: str = ''  # it stands there and not one with constant gains
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
@@ -61,5 +62,5 @@ class ScheduledSensor:
     @property
     def commands(self) -> tuple[str, ...]:
         """Names of the commands that move it, or schedule it."""
-        used = self.B.any(axis=(0, 1)) | self.from_inputs.any(axis=0)
+        used = np.any(self.B, axis=(0, 1)) | np.any(self.from_inputs, axis=0)
         return tuple(name for name, one in zip(self.inputs, used) if one)
