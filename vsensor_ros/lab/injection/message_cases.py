@@ -108,11 +108,10 @@ def _thousand_of(driver: PlayedDriver) -> Garble:
 def garbage(context: CaseContext) -> None:
     """Send what is no message on the drivers' and the isolation's topics, 10^5 times."""
     draw = random.Random(0)
-    isolator = context.machine.isolator
-    assert isolator is not None
     rubbish = [(driver.publisher, what) for driver in _sensors(context)
                for what in _not_messages(driver, draw)]
-    rubbish += [(isolator, what) for what in _not_isolation(isolator.msg_type, draw)]
+    if isolator := context.machine.isolator:
+        rubbish += [(isolator, what) for what in _not_isolation(isolator.msg_type, draw)]
     sent = 0
     while sent < GARBAGE:
         begun = context.machine.now
@@ -150,8 +149,8 @@ def disorder(context: CaseContext) -> None:
         driver.garble = shuffled() if driver.stamped else lambda message: (message, message)
     with context.excused(stamps=True):  # a relay, while all is healthy
         context.play(0.7)
-    fail_over(context, lambda: context.fault('spikes', size=context.span(context.target),
-                                         probability=0.3), in_order=False)
+    fail_over(context, lambda: context.fault('bias', size=BIAS * context.span(context.target)),
+              in_order=False)
 
 
 def publisher_restart(context: CaseContext) -> None:
