@@ -65,6 +65,7 @@ class Channels:
         """Forget the last readings, not what was learnt."""
         count = len(self.spikes)
         self.run, self.gap, self._streak = (np.zeros(count, dtype=np.int64) for _ in range(3))
+        self._rests = False  # somebody repeats a value, or says nothing
         self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
         self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
         # readings, and the residuals of their virtual sensors
@@ -87,13 +88,13 @@ class Channels:
         both[:, :2] = both[:, -2:]
         both[0, 2:], both[1, 2:] = readings, residuals
         raw = both[0]
-        if (raw[1:-1] != raw[2:]).all() and not np.isnan(raw[1:].sum()):  # the usual case
-            self.run[:] = self.gap[:] = 0
+        if not self._rests and (raw[1:-1] != raw[2:]).all() and not np.isnan(raw[1:].sum()):
             self._last, self._from = readings[-1].copy(), estimates[-1].copy()
             self.pairs += self.batch * learn
         else:
             for reading, estimate in zip(readings, estimates):
                 self._repeat(reading, estimate, learn)
+            self._rests = bool(self.run.any() or self.gap.any())
         low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
         middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
         self._move(middle, learn)
@@ -106,10 +107,10 @@ class Channels:
         same = reading == self._last
         if learn.any():  # a gap or a run is part of a habit when it has ended
             fresh = learn & ~missing
-            self.repeats += same & learn
-            self.again += same & learn & (self.run > 0)
-            self.pairs += fresh
             ended = fresh & ~same
+            self.pairs += fresh
+            self.repeats += ended * self.run
+            self.again += ended * np.maximum(self.run - 1, 0)
             np.maximum(self.longest, ended * self.run, out=self.longest)
             np.maximum(self.longest_gap, fresh * self.gap, out=self.longest_gap)
             np.fmax(self.travel, np.where(ended & (self.run > 0), self._moved, 0.0),
