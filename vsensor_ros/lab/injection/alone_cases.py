@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations
+import math
 import signal
 from typing import Any
 
@@ -23,7 +24,7 @@ from vsensor_ros.lab.injection.message_cases import (
     burst,
     disorder,
     garbage,
-    wrong_length,
+    lengths,
     wrong_type,
 )
 from vsensor_ros.lab.injection.restart_cases import (
@@ -99,11 +100,9 @@ def clear_early(context: AloneContext) -> None:
     context.isolate(target)
     context.expect(target, 'virtual')
     context.play(WATCHED)
-    [fault] = context.injected
-    context.undetected(target)
     context.clear(target)
     context.expect(target, 'real')
-    fault.over = float('inf')
+    context.injected[-1].over = math.inf    # it is faulty all the while
     context.isolate(target)
     context.expect(target, 'virtual')
     context.play(WATCHED)
@@ -183,6 +182,24 @@ def _expect_set(context: AloneContext, *names: str) -> None:
         source = context.tested.serves(names, name)
         context.expect(name, source, CONVERGED if source == 'virtual' else SOON)
     context.fresh = False     # what reads one of them begins anew
+
+
+def wrong_length(context: AloneContext) -> None:
+    """Let the target's element be left out of its array now and then, and then always."""
+    driver = context.machine.driver_of(context.target)
+    driver.garble, names = lengths(context)
+    for name in names:
+        context.undetected(name)
+    context.play(UNSEEN)
+    driver.garble, _ = lengths(context, emptied=True)
+    for name in names:
+        context.note('drop_out', name)
+    context.isolate(*names)
+    _expect_set(context, *names)
+    context.play(WATCHED)
+    context.heal()
+    context.believe(*names)
+    _expect_paths(context)
 
 
 def late(context: AloneContext) -> None:
@@ -295,7 +312,7 @@ ALONE_CASES = (
     Case('simultaneous', 'what both together lead to by the design', simultaneous, 20.0),
     Case('frozen_together', 'each as the set of both is designed', frozen_together, 6.0),
     Case('unknown_set', 'no valid source, said; then real', unknown_set, 6.0),
-    Case('wrong_length', ONE, wrong_length, 4.0),
+    Case('wrong_length', f'nobody blamed; when it never is there: {ONE}', wrong_length, 6.0),
     Case('wrong_type', f'said; {ONE}', wrong_type, 10.0),
     Case('burst', ONE, burst, 6.0),
     Case('disorder', f'nobody blamed; {ONE}', disorder, 5.0),

@@ -125,6 +125,8 @@ class AloneContext(CaseContext):
             if fault.sensor == name and fault.awaited:
                 fault.over = min(fault.over, time.monotonic() + JUDGED)
         self.machine.faulty -= {name}
+        if any(f.sensor == name and f.healed == math.inf for f in self.injected):
+            self.undetected(name)
         latched = self.tested.beliefs[name].recovery == 'latched'
         if not self.call('reset' if latched else f'{name}/clear'):
             self.wrong.append(f'{name} could not be cleared')

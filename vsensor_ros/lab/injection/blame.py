@@ -103,9 +103,13 @@ def found_of(fault: Injected, heard: Evidence, truth: Truth) -> Found:
     blamed = next((s.arrival for s in _while(heard.said, fault) if name in s.kinds), None)
     replaced = next((s.arrival for s in heard.told if fault.began <= s.arrival <= fault.healed
                      and s.facts.get(name, {}).get('source') == 'virtual'), None)
-    errors = [] if replaced is None or blamed is None else [
+    # another fault that nobody knows of yet is in the estimate, too
+    blind = [] if replaced is None else [
+        span for span in heard.blind.get(name, ()) if span[0] > replaced]
+    errors = [] if replaced is None else [
         value - float(truth.at(name, out.time)) for out in heard.outs
         if replaced <= min(out.said, out.arrival) and out.arrival <= fault.healed
+        and not any(begin <= out.arrival <= end for begin, end in blind)
         and isinstance(value := out.values.get(name), float) and math.isfinite(value)]
     part = np.abs(errors) / truth.span[name]
     return Found(name, fault.fault, _last_kind(heard.said, fault), _since(fault, blamed),
