@@ -20,6 +20,7 @@ from vsensor_ros.engine import (
     together,
 )
 from vsensor_ros.isolator import Settings
+from vsensor_ros.simulate import simulate
 
 CONFIG = Path(__file__).parents[2] / 'config'
 PERIOD = 10_000_000
@@ -31,6 +32,13 @@ SENSORS = ('y1', 'y2', 'y3')
 def found():
     """Return a design that tells of each of three sensors of x' = -x + u."""
     return design(three(), isolate=True)
+
+
+@pytest.fixture(scope='module')
+def servo():
+    """Return the plant and a design of it that tells of two of its three sensors."""
+    plant = load_plant(CONFIG / 'servo' / 'plant.yaml')
+    return plant, design(plant, isolate=True)
 
 
 def three():
@@ -56,26 +64,30 @@ class Run:
     def go_on(self, seconds, fault=lambda readings, time: readings):
         """Let time pass; fault: what the drivers say instead, None of one: nothing."""
         for k in range(round(100 * seconds)):
-            self.now += PERIOD
-            u = 1.5 + np.sin(2.0 * (self.now - START) * 1e-9)
-            self.engine.look(self.now, self.now * 1e-9)
-            self.engine.command('u', u, self.now - PERIOD, self.now - PERIOD)
+            u = 1.5 + np.sin(2.0 * (self.now + PERIOD - START) * 1e-9)
             readings = fault(self.x * np.arange(1.0, 4.0) + self.rng.normal(0.0, 0.01, 3), k / 100)
-            self.x = u + (self.x - u) * np.exp(-0.01)
             # a step of the command is held over the period: this is exact
-            self.waiting.append((self.now - PERIOD, readings))
-            while len(self.waiting) > self.late:
-                stamp, values = self.waiting.pop(0)
-                for i, value in enumerate(values):
-                    if value is not None:
-                        message = Message(stamp, (float(value),))
-                        self.engine.judge(i, message, 'message')
-                        self.engine.learn(i, message, self.now)
-            for at in self.engine.ticks():
-                for made in self.engine.tick(at):
-                    self.sent.append(made)
-                    self.engine.done(made)
-            self.said += self.engine.remarks()
+            self.x = u + (self.x - u) * np.exp(-0.01)
+            self.step('u', u, readings)
+
+    def step(self, command, value, readings):
+        """Let a period pass, at the beginning of which this was commanded and read."""
+        self.now += PERIOD
+        self.engine.look(self.now, self.now * 1e-9)
+        self.engine.command(command, value, self.now - PERIOD, self.now - PERIOD)
+        self.waiting.append((self.now - PERIOD, readings))
+        while len(self.waiting) > self.late:
+            stamp, values = self.waiting.pop(0)
+            for i, reading in enumerate(values):
+                if reading is not None:
+                    message = Message(stamp, (float(reading),))
+                    self.engine.judge(i, message, 'message')
+                    self.engine.learn(i, message, self.now)
+        for at in self.engine.ticks():
+            for made in self.engine.tick(at):
+                self.sent.append(made)
+                self.engine.done(made)
+        self.said += self.engine.remarks()
 
     def channel(self, name):
         return next(c for c in self.engine.snapshot(self.now * 1e-9).channels if c.name == name)
@@ -120,8 +132,8 @@ def test_a_drift_counts_from_its_onset_not_from_when_it_was_found(found):
     assert together(early, late).faulty == together(late, early).faulty == {'y2': 5}
 
 
-def test_an_observer_says_nothing_before_it_has_forgotten_its_start():
-    servo = design(load_plant(CONFIG / 'servo' / 'plant.yaml'), isolate=True)
+def test_an_observer_says_nothing_before_it_has_forgotten_its_start(servo):
+    _, servo = servo
     slow = Residuals(servo.isolating(), servo.isolability.residuals, 100.0,
                      dict.fromkeys(servo.sensors, 0.5))
     said = []
@@ -131,6 +143,27 @@ def test_an_observer_says_nothing_before_it_has_forgotten_its_start():
         slow.take('voltage', START + k * PERIOD, 0.0)
         said += [estimates for _, _, estimates in slow.at_least(1, START + k * PERIOD)]
     assert np.isnan(said[5]).any() and np.isfinite(said[-1]).all()
+
+
+def test_what_has_read_a_faulty_sensor_suspects_nobody_when_that_is_cleared(servo):
+    """The observer of the servo's current reads the velocity, and forgets a bias in seconds."""
+    plant, found = servo
+    t = np.arange(1201) / 100
+    u = 3.0 * np.sin(0.9 * t[:, None])
+    x = simulate(plant, t, u, np.zeros((len(t), 1)), [0.0, 1.0, 0.0])
+    run = Run(found)
+    noise, states = np.random.default_rng(1).normal(0.0, 0.005, x.shape), []
+    for k in range(len(t)):
+        bias = [0.0, 1.8 * (500 <= k < 700), 0.0]
+        run.step('voltage', u[k, 0], x[k] + noise[k] + bias)
+        verdict = run.engine.verdict
+        if k == 700:
+            assert verdict.faulty == ('y2',)
+        elif k == 740:
+            run.engine.clear('y2')
+        elif k > 740:
+            states.append((verdict.state, verdict.candidates))
+    assert set(states) == {('healthy', ())}
 
 
 def test_it_is_blamed_until_cleared_by_whom_it_is(found):

@@ -50,6 +50,20 @@ def test_a_stuck_sensor_is_found_by_its_repeats(machine):
     assert verdict.faults[0].onset * 1e-9 == pytest.approx(began, abs=0.2)
 
 
+def test_repeats_of_a_fault_are_no_habit(machine):
+    """What repeated until it was found does not make the next time harder to find."""
+    for _ in range(2):
+        machine.run(5.0, of('c', frozen(machine)), until=lambda v: v.faults)
+        machine.run(1.0)
+        machine.isolator.clear('c')
+        machine.run(30.0)
+    channels = machine.isolator.watch.channels
+    assert channels.repeats[2] == channels.again[2] == 0
+    began = machine.tick * PERIOD
+    verdict = machine.run(20.0, of('c', frozen(machine)), until=lambda v: v.faults)
+    assert verdict.faulty == ('c',) and verdict.time * 1e-9 < began + 1.0
+
+
 def test_spikes_are_told_and_blame_nobody(machine):
     told = []
 

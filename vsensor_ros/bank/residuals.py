@@ -9,7 +9,7 @@ of it, so that no late reading changes it any more.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -54,7 +54,16 @@ class Residuals(Steps):
         """Forget all."""
         self._looked: int | None = None  # last tick that was looked at
         self._waiting: int | None = None  # since when somebody has spoken, but not all
+        # tick until which the observer of each residual may have read what was faulty
+        self._spoilt: np.ndarray | int = np.iinfo(np.int64).min // 2
         super().reset()
+
+    def forgive(self, names: Iterable[str]) -> None:
+        """Take these sensors for healthy again; what has read them has to forget that first."""
+        if self._looked is not None:
+            new = [name in names for name in (*self.sensors, *self.inputs)]
+            reads = self._batch.starts_on[self._runs_of][:, new].any(axis=1)
+            self._spoilt = np.where(reads, self._looked, self._spoilt)
 
     def until(self, now: int) -> int | None:
         """Return the time [ns] up to which all who speak have spoken; None: nobody does."""
@@ -88,8 +97,8 @@ class Residuals(Steps):
         for state in new:
             self._looked, time = state.tick, self._at(state.tick)
             said = self._batch.estimates(state.z[self._rows], state.told.y, state.told.held)
-            warm = state.running[self._runs_of] & (
-                state.tick - state.since[self._runs_of] >= self._warm)
+            since = np.maximum(state.since[self._runs_of], self._spoilt)
+            warm = state.running[self._runs_of] & (state.tick - since >= self._warm)
             yield time, self._readings(time), np.where(
                 self._there & warm, said[self._outputs], np.nan)
 

@@ -28,6 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help='half of the cases, the quick ones of each kind')
     parser.add_argument('--running', action='store_true', help='attach to the replacer that '
                         'runs in this ROS domain, in place of starting one in another')
+    parser.add_argument('--alone', action='store_true', help='nobody tells the replacer who has '
+                        'failed: its own isolator has to find out')
     parser.add_argument('--list', action='store_true', help='list the cases and end')
     parser.add_argument('--report', type=Path, metavar='FILE', help='write the results as JSON')
     parser.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[],
@@ -37,15 +39,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given.list and (given.plant is None or path is None):
         parser.error('--plant and --params-file are needed, but for --list')
 
+    if given.alone and given.running:
+        parser.error('--alone starts a replacer of its own, without --running')
+
     def act() -> int:
         from vsensor_ros.lab.injection.suite import choose
         from vsensor_ros.lab.injection.table import inject_and_show, list_cases
-        cases = choose(given.only, given.quick)
+        cases = choose(given.only, given.quick, given.alone)
         if given.list or path is None:
             list_cases(cases)
             return 0
         return inject_and_show(given.plant, path, given.scenario, cases,
-                               given.running, given.report, given.ros_args)
+                               given.running, given.report, given.ros_args, given.alone)
     return run('fault_injection', act)
 
 

@@ -8,6 +8,8 @@ mean of the four windows before it. Long windows are looked at every quarter of 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ class Detector:
                  limit: Floats) -> None:
         n, count = len(prior), len(WINDOWS)
         self.period, self.batch, self.false_alarms = period, batch, false_alarms
-        self.prior, self._limit = prior, limit
+        self.prior, self._limit, self._floor = prior, limit, -limit
         self._length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
         self._strides = [max(1, window // (4 * batch)) for window in WINDOWS]
         self._blocks = [block // batch for block in BLOCKS]
@@ -45,7 +47,14 @@ class Detector:
         # rows: level above, level below, contrast above, contrast below; each by window
         self.maxima = BlockMaxima(TESTS, n)
         self.thresholds = np.tile(prior, (TESTS, 1))
-        self.high = np.zeros((2, count, n), dtype=bool)  # tests that are passed now
+        # by window, above and below (both as maxima), level and contrast: what is shown now, what
+        # must not be passed, and the largest of the block
+        self._shown = np.zeros((count, 2, 2, n))
+        self._limits = np.tile(prior, (count, 2, 2, 1))
+        self._largest = np.full((count, 2, 2, n), -np.inf)
+        self._passed = np.zeros((count, 2, 2, n), dtype=bool)
+        self.high = np.zeros((count, 2, n), dtype=bool)  # tests that are passed now
+        self._any_high = False
         self.filled = np.zeros(n, dtype=np.int64)  # samples since the start of the windows
         self._streak = np.zeros(n, dtype=np.int64)  # samples that were learnt without a gap
         self._span = SPAN // batch + 1
@@ -53,86 +62,80 @@ class Detector:
         self._past = np.zeros((SPAN // batch, batch, n))  # behind the median of three
         self._raw = np.zeros((batch + 2, n))
         self._before = np.zeros(n)  # mean of the batch before
-        # by how many windows are due: batches back from which sums are taken, what turns them
-        # into means, and room for the tests
-        first = int(batch > 1)
-        dues = {due: self._length[first:due] for due in range(1, count + 1)}
-        self._places = {due: np.concatenate([w, 5 * w]) for due, w in dues.items()}
-        self._scales = {due: 1.0 / (batch * np.stack([w, 4 * w])[:, :, None])
-                        for due, w in dues.items()}
-        self._above, self._below = (
-            {due: np.zeros((2, due, n)) for due in dues} for _ in range(2))
-        self._largest = np.full((2, count, n), -np.inf)
-        self._least = np.full((2, count, n), np.inf)
         self._count = 0  # batches
         self._jobs: list[tuple[int, slice]] = []
         self._next = ENOUGH / period  # learnt samples at which thresholds are computed anew
 
-    def step(self, samples: Floats, learn: Bools | bool, widened: Floats | float = 0.0) -> Bools:
+    def step(self, samples: Floats, learn: Bools | bool,
+             widened: Callable[[], Floats | float] = float) -> Bools:
         """
         Take a batch of samples (batch, n); return which columns alarm now (n,).
 
         samples: NaN starts the windows of a column anew. learn, () or (n,): whether the machine
-        counts as healthy. widened, () or (n,): added to all thresholds of a column.
+        counts as healthy. widened: returns what is added to all thresholds of a column, () or (n,)
+        and 0 or more; it is asked only when it counts.
         """
         self._count += 1
         raw = self._raw
         raw[:2] = raw[-2:]
-        np.clip(samples, -self._limit, self._limit, out=raw[2:])
+        new = raw[2:]
+        np.maximum(samples, self._floor, out=new)
+        np.minimum(new, self._limit, out=new)
         self.filled += self.batch
-        if np.isnan(raw.sum()):
-            unknown = np.isnan(raw).any(axis=0)
+        if np.isnan(np.add.reduce(new, axis=None)):
+            unknown = np.isnan(new).any(axis=0)
             raw[:, unknown] = 0.0
             self.filled[unknown] = 0
         low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
         middle = self._past[self._count % len(self._past)]
-        np.minimum(high, raw[2:], out=middle)
+        np.minimum(high, new, out=middle)
         np.maximum(low, middle, out=middle)
         total = np.add.reduce(middle, axis=0)
         np.add(self._sums[(self._count - 1) % self._span], total,
                out=self._sums[self._count % self._span])
         due = sum(self._count % stride == 0 for stride in self._strides)
-        above, below = self._tests(due, middle)
+        shown = self._tests(due, middle)
         np.divide(total, self.batch, out=self._before)
-        if self.filled.min(initial=SPAN) < 5 * self._full[due - 1]:
+        if np.minimum.reduce(self.filled, initial=SPAN) < 5 * self._full[due - 1]:
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
-                above[test][self.filled < full] = below[test][self.filled < full] = 0.0
-        self._learn(above, below, due, learn)
-        limits = self.thresholds.reshape(2, 2, len(WINDOWS), -1)[:, :, :due]
-        above -= limits[:, 0]
-        below += limits[:, 1]
-        passed = self.high[:, :due]
-        np.greater(above, widened, out=passed)
-        passed |= below < np.negative(widened)
-        if not self.high.any():
+                np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
+        self._learn(shown, due, learn)
+        limits, passed = self._limits[:due], self._passed[:due]
+        np.greater(shown, limits, out=passed)
+        if np.count_nonzero(passed):
+            np.greater(shown - limits, widened(), out=passed)
+        elif not self._any_high:
             return np.zeros(len(self.prior), dtype=bool)
+        np.logical_or(passed[:, 0], passed[:, 1], out=self.high[:due])
+        self._any_high = bool(self.high.any())
         return np.logical_or.reduce(self.high, axis=(0, 1))
 
-    def _tests(self, due: int, middle: Floats) -> tuple[Floats, Floats]:
-        """Return level and contrast of the first windows (2, due, n), above and below."""
+    def _tests(self, due: int, middle: Floats) -> Floats:
+        """Return of the first windows, above and below, level and contrast (due, 2, 2, n)."""
+        newest = self._sums[self._count % self._span]
         first = int(self.batch > 1)  # a window of one has its extremes within a batch
-        places, scale = self._places[due], self._scales[due]
-        above, below = self._above[due], self._below[due]
-        tests = above[:, first:]
-        taken = self._sums.take(self._count - places, axis=0, mode='wrap')
-        np.subtract(self._sums[self._count % self._span], taken, out=taken)
-        taken = taken.reshape(tests.shape)
-        taken[1] -= taken[0]
-        np.multiply(taken, scale, out=tests)
-        np.subtract(tests[0], tests[1], out=tests[1])
-        below[:, first:] = tests
+        for shown, length in zip(self._shown[first:due], self._length[first:due].tolist()):
+            level, contrast = above = shown[0]
+            np.subtract(newest, self._sums[(self._count - length) % self._span], out=level)
+            np.subtract(newest, self._sums[(self._count - 5 * length) % self._span], out=contrast)
+            contrast -= level
+            level *= 1.0 / (self.batch * length)
+            contrast *= 1.0 / (self.batch * 4 * length)
+            np.subtract(level, contrast, out=contrast)
+            np.negative(above, out=shown[1])
         if first:
-            np.maximum.reduce(middle, axis=0, out=above[0, 0])
-            np.minimum.reduce(middle, axis=0, out=below[0, 0])
-            np.subtract(above[0, 0], self._before, out=above[1, 0])
-            np.subtract(below[0, 0], self._before, out=below[1, 0])
-        return above, below
+            above, below = self._shown[0]
+            least = np.minimum.reduce(middle, axis=0)
+            np.maximum.reduce(middle, axis=0, out=above[0])
+            np.negative(least, out=below[0])
+            np.subtract(above[0], self._before, out=above[1])
+            np.subtract(self._before, least, out=below[1])
+        return self._shown[:due]
 
-    def _learn(self, above: Floats, below: Floats, due: int, learn: Bools | bool) -> None:
+    def _learn(self, shown: Floats, due: int, learn: Bools | bool) -> None:
         """Keep the extremes of the blocks that run, and the record of those that end."""
-        largest, least = self._largest[:, :due], self._least[:, :due]
-        np.maximum(largest, above, out=largest)
-        np.minimum(least, below, out=least)
+        largest = self._largest[:due]
+        np.maximum(largest, shown, out=largest)
         self._streak += self.batch
         if learn is True:
             self.learnt += self.batch
@@ -156,10 +159,9 @@ class Detector:
         for test, span in enumerate((WINDOWS[w], 5 * WINDOWS[w])):
             known = learnt & (self.filled >= BLOCKS[w] + span + 2)
             row = 2 * test * len(WINDOWS) + w
-            self.maxima.add(row, self._largest[test, w], known)
-            self.maxima.add(row + len(WINDOWS), -self._least[test, w], known)
-        self._largest[:, w] = -np.inf
-        self._least[:, w] = np.inf
+            for side in (0, 1):
+                self.maxima.add(row + side * len(WINDOWS), self._largest[w, side, test], known)
+        self._largest[w] = -np.inf
 
     def refresh(self) -> None:
         """Compute all thresholds anew from the record."""
@@ -168,7 +170,7 @@ class Detector:
 
     def _refresh(self, w: int, columns: slice) -> None:
         trusted = self.learnt[columns] * self.period >= ENOUGH
-        for row in (w, w + 2 * len(WINDOWS)):  # level, contrast
+        for test, row in enumerate((w, w + 2 * len(WINDOWS))):  # level, contrast
             both = slice(row, row + len(WINDOWS) + 1, len(WINDOWS))  # above and below
             maxima, count = self.maxima.maxima[:, both, columns], self.maxima.count[both, columns]
             middle = beside(maxima, count)
@@ -178,6 +180,7 @@ class Detector:
                                            np.divide(1.0 / self.false_alarms, block)))
             self.thresholds[both, columns] = np.where(trusted & np.isfinite(found), found,
                                                       self.prior[columns])
+            self._limits[w, :, test, columns] = self.thresholds[both, columns]
 
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""

@@ -112,9 +112,7 @@ class Isolator:
             self._set_back += max(0, self._time - time)
             self._start_anew()
         self._time = time
-        for kept, given in ((self._readings, readings), (self._estimates, estimates)):
-            kept[self._held] = given
-            kept[self._held, ~(np.abs(kept[self._held]) < LARGEST)] = np.nan
+        self._readings[self._held], self._estimates[self._held] = readings, estimates
         self._held += 1
         if self._held == self.watch.batch:
             self._held = 0
@@ -146,6 +144,9 @@ class Isolator:
 
     def _judge(self, time: int) -> None:
         watch, diagnosis, now = self.watch, self._diagnosis, self._lasting(time)
+        for kept in (self._readings, self._estimates):
+            if not (kept.max(initial=0.0) < LARGEST and kept.min(initial=0.0) > -LARGEST):
+                kept[~(np.abs(kept) < LARGEST)] = np.nan
         healthy = not diagnosis.stands
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
@@ -234,6 +235,8 @@ class Isolator:
 
     def _count_spikes(self, now: float) -> bool:
         new = False
+        if not self.watch.channels.spiked:
+            return new
         for j in np.flatnonzero(self.watch.channels.spikes).tolist():
             count = int(self.watch.channels.spikes[j])
             if count > self._spikes[j][0]:

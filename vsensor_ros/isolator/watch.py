@@ -70,7 +70,7 @@ class Watch:
             shown[:, self._unseen] = said[:, self._unseen] = np.nan
         self.channels.step(readings, shown, said, learn_channels)
         self.said = said[-1]
-        alarms = self.detector.step(residuals, learn, self._widened())
+        alarms = self.detector.step(residuals, learn, self._widened)
         if alarms.any():  # what spikes leave behind is nobody's fault
             spiking = self.channels.spiking()
             for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):

@@ -104,8 +104,8 @@ def told_of(scenario: Scenario, run: Run) -> list[str]:
     return lines
 
 
-_WORDS = {'freeze': 'frozen', 'drop_out': 'silent', 'not_a_number': 'NaN', 'bias': 'biased',
-          'drift': 'drifting', 'spikes': 'spiking'}
+_WORDS = {'freeze': 'frozen', 'drop_out': 'silent', 'not_a_number': 'NaN', 'infinity': 'infinite',
+          'bias': 'biased', 'drift': 'drifting', 'spikes': 'spiking', 'noise': 'noisy'}
 
 
 def _phase(scenario: Scenario, now: float, isolated: bool) -> str:

@@ -48,6 +48,11 @@ def not_a_number(channel: Recorded, start: float, end: float = np.inf) -> Record
     return replace(channel, value=np.where(_within(channel, start, end), np.nan, channel.value))
 
 
+def infinity(channel: Recorded, start: float, end: float = np.inf) -> Recorded:
+    """Send infinity from `start` to `end` [s]."""
+    return replace(channel, value=np.where(_within(channel, start, end), np.inf, channel.value))
+
+
 def bias(channel: Recorded, start: float, end: float = np.inf, *, size: float) -> Recorded:
     """Add `size` [unit of the channel] from `start` to `end` [s]."""
     return replace(channel, value=channel.value + size * _within(channel, start, end))
@@ -68,6 +73,14 @@ def spikes(channel: Recorded, start: float, end: float = np.inf, *,
     return replace(channel, value=channel.value + spike * (hit & _within(channel, start, end)))
 
 
+def noise(channel: Recorded, start: float, end: float = np.inf, *,
+          size: float, seed: int = 0) -> Recorded:
+    """Add white noise of the standard deviation `size` [unit] from `start` to `end` [s]."""
+    random = np.random.default_rng(seed)
+    added = size * random.standard_normal(channel.time.shape)
+    return replace(channel, value=channel.value + added * _within(channel, start, end))
+
+
 FAULTS: dict[str, Callable[..., Recorded]] = {
-    'freeze': freeze, 'drop_out': drop_out, 'not_a_number': not_a_number, 'bias': bias,
-    'drift': drift, 'spikes': spikes}
+    'freeze': freeze, 'drop_out': drop_out, 'not_a_number': not_a_number, 'infinity': infinity,
+    'bias': bias, 'drift': drift, 'spikes': spikes, 'noise': noise}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 from vsensor_ros.lab.injection.case_context import CaseContext
 
@@ -13,7 +14,7 @@ WATCHED = 0.9       # s that a replacement is watched
 BIAS = 0.5          # of the range
 ONE = 'real > virtual > real, one switch each'
 
-PLAIN, ALONE, FULL_SHM, SIMULATED = 'plain', 'alone', 'full_shm', 'simulated'
+PLAIN, OURS, FULL_SHM, SIMULATED = 'plain', 'ours', 'full_shm', 'simulated'
 
 
 @dataclass(frozen=True)
@@ -22,9 +23,10 @@ class Case:
 
     name: str
     expected: str       # in a few words
-    act: Callable[[CaseContext], None]
+    act: Callable[[Any], None]  # on a CaseContext, or an AloneContext
     seconds: float      # of the machine's time, about, besides dwell and convergence
-    session: str = PLAIN    # ALONE: in a plain one, with a process of ours
+    session: str = PLAIN    # OURS: in a plain one, with a process of ours
+    each: bool = False      # its seconds are of each sensor
 
 
 def fail_over(context: CaseContext, begin: Callable[[], None], in_order: bool = True) -> None:

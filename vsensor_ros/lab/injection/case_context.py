@@ -56,6 +56,8 @@ class CaseContext:
     start: Callable[..., Process]   # another one
     fresh: bool = False         # its virtual sensors are known to be converged
 
+    apart = 0.5     # s between two faults of which the second is one more
+
     def __post_init__(self) -> None:
         self._executor = SingleThreadedExecutor(context=self.services.context)
         self._executor.add_node(self.services)

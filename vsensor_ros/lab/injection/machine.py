@@ -16,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 
 from vsensor_ros.lab.domain import by_hand
 from vsensor_ros.lab.injection.truth import Truth
-from vsensor_ros.lab.injection.verdict import Evidence, Out, Stated, StatusHeard
+from vsensor_ros.lab.injection.verdict import Evidence, Out, Said, Stated, StatusHeard
 from vsensor_ros.lab.played_driver import drivers_of, names_in, PlayedDriver
 from vsensor_ros.lab.wiring import Port, Wiring
 from vsensor_ros.node.accessor import get_stamp, has_stamp, put_stamp
@@ -44,7 +44,8 @@ class Machine:
     """
 
     def __init__(self, node: Node, wiring: Wiring, truth: Truth, replacer: str,
-                 simulated: bool = False) -> None:
+                 simulated: bool = False, isolated: bool = True) -> None:
+        """Prepare. replacer: its full name. isolated: somebody says which sensor failed."""
         self.node, self.wiring, self.truth = node, wiring, truth
         self.channels: dict[str, Recorded] = dict(truth.said)
         self.heard = Evidence(time.monotonic())
@@ -58,7 +59,8 @@ class Machine:
         self._repeated = self._clocked = 0.0
         self.drivers = drivers_of(node, (wiring.ports[name] for name in truth.said))
         self.isolator: Publisher | None = None
-        self.open_isolator()
+        if isolated:
+            self.open_isolator()
         self.clock = node.create_publisher(Clock, '/clock', 10) if simulated else None
         self.outputs: dict[str, tuple[Subscription, list[Port]]] = {}
         for name in truth.value:
@@ -71,8 +73,11 @@ class Machine:
             DiagnosticArray, f'{replacer}/status', by_hand, STATUS)
         self._estimates = node.create_subscription(
             DiagnosticArray, f'{replacer}/estimates', by_hand, LISTEN)
+        self._verdicts = node.create_subscription(
+            DiagnosticArray, f'{replacer}/isolation', by_hand, STATUS)
         self._diagnostics = node.create_subscription(DiagnosticArray, '/diagnostics', by_hand, 10)
         self.latest: dict[str, dict[str, str]] = {}     # by channel: what ~/status said last
+        self.verdict = Said(0.0, '', {})    # what the replacer's own isolator said last
         self.said: dict[str, str] = {}                  # by name: what /diagnostics said last
         self.statuses = 0   # messages on ~/status
         self.report()       # a replacer that starts waits for what isolation said before
@@ -186,6 +191,9 @@ class Machine:
                 self.heard.told.append(StatusHeard(time.monotonic(), facts))
                 self.heard.spoken.update(self.wiring.ports[name].output for name in facts if (
                     facts[name].get('source') == 'virtual'))
+        for message, _ in take_all(self._verdicts):
+            self.verdict = _said(message)
+            self.heard.said.append(self.verdict)
         for message, _ in take_all(self._diagnostics):
             self.said.update({s.name: s.message for s in message.status})
 
@@ -213,3 +221,11 @@ class Machine:
         self.heard.outs.append(Out(topic, arrival, said, stamp, at, {
             p.name: value if isinstance(value := p.field.get(message), float) else str(value)
             for p in ports}, frame, names_in(message)))
+
+
+def _said(message: DiagnosticArray) -> Said:
+    """Return what an isolator says: one status a sensor, and one without for itself."""
+    facts = {s.hardware_id: {v.key: v.value for v in s.values} for s in message.status}
+    return Said(time.monotonic(), facts.get('', {}).get('state', ''), {
+        s.hardware_id: facts[s.hardware_id].get('kind', '') for s in message.status
+        if s.hardware_id and s.level == DiagnosticStatus.ERROR})

@@ -25,8 +25,12 @@ GARBAGE_TIME = 4.0      # s in which they are sent
 TOLD = 12.0             # s in which what others do on the topics must be told
 
 
-def wrong_length(context: CaseContext) -> None:
-    """Leave the failed sensor's element out of its array, or add some."""
+def lengths(context: CaseContext, emptied: bool = False) -> tuple[Garble, list[str]]:
+    """
+    Return what makes the target's array too short or too long in turn, and whom that may hurt.
+
+    emptied: it is left without any element.
+    """
     port = context.tested.wiring.ports[context.target]
     match = re.fullmatch(r'(?:(.+)\.)?(\w+)\[[^\[\]]+\]', port.field.path)
     if match is None:
@@ -40,21 +44,27 @@ def wrong_length(context: CaseContext) -> None:
         for step in (match[1] or '').split('.') if match[1] else ():
             holder = getattr(holder, step)
         values = list(getattr(holder, match[2]))
-        setattr(holder, match[2], values[:-1] if count % 2 else [*values, 1e9, -1e9])
+        setattr(holder, match[2], [] if emptied else
+                values[:-1] if count % 2 else [*values, 1e9, -1e9])
         return (message,)
 
     try:
         garble(copy.deepcopy(context.machine.driver_of(context.target).message))
     except (TypeError, AssertionError, AttributeError, ValueError):
         raise Skipped(f'the length of {port.field.path} is fixed') from None
-    driver = context.machine.driver_of(context.target)
+    array = f'{match[1] + "." if match[1] else ""}{match[2]}['
+    return garble, [other.name for other in context.machine.driver_of(context.target).ports
+                    if other.field.path.startswith(array)]
+
+
+def wrong_length(context: CaseContext) -> None:
+    """Leave the failed sensor's element out of its array, or add some."""
+    garble, names = lengths(context)
 
     def begin() -> None:
-        for other in driver.ports:
-            if re.match(re.escape(f'{match[1] + "." if match[1] else ""}{match[2]}['),
-                        other.field.path):
-                context.undetected(other.name)
-        driver.garble = garble
+        for name in names:
+            context.undetected(name)
+        context.machine.driver_of(context.target).garble = garble
     fail_over(context, begin)
 
 
@@ -108,11 +118,10 @@ def _thousand_of(driver: PlayedDriver) -> Garble:
 def garbage(context: CaseContext) -> None:
     """Send what is no message on the drivers' and the isolation's topics, 10^5 times."""
     draw = random.Random(0)
-    isolator = context.machine.isolator
-    assert isolator is not None
     rubbish = [(driver.publisher, what) for driver in _sensors(context)
                for what in _not_messages(driver, draw)]
-    rubbish += [(isolator, what) for what in _not_isolation(isolator.msg_type, draw)]
+    if isolator := context.machine.isolator:
+        rubbish += [(isolator, what) for what in _not_isolation(isolator.msg_type, draw)]
     sent = 0
     while sent < GARBAGE:
         begun = context.machine.now
@@ -150,8 +159,8 @@ def disorder(context: CaseContext) -> None:
         driver.garble = shuffled() if driver.stamped else lambda message: (message, message)
     with context.excused(stamps=True):  # a relay, while all is healthy
         context.play(0.7)
-    fail_over(context, lambda: context.fault('spikes', size=context.span(context.target),
-                                         probability=0.3), in_order=False)
+    fail_over(context, lambda: context.fault('bias', size=BIAS * context.span(context.target)),
+              in_order=False)
 
 
 def publisher_restart(context: CaseContext) -> None:

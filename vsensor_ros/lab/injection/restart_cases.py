@@ -5,12 +5,12 @@ from __future__ import annotations
 import signal
 
 from vsensor_ros.lab.injection.case import (
-    ALONE,
     BIAS,
     Case,
     fail_over,
     FULL_SHM,
     ONE,
+    OURS,
     SIMULATED,
     UNDETECTED,
     WATCHED,
@@ -120,16 +120,24 @@ def _jump(context: CaseContext, seconds: float, way: str) -> None:
     context.expect_path(target, 'real', 'virtual', 'none', 'virtual', 'real')
 
 
+def clock_ahead(context: CaseContext) -> None:
+    """Let the clock jump ahead while a sensor is replaced."""
+    _jump(context, JUMP, 'forwards')
+
+
+def clock_back(context: CaseContext) -> None:
+    """Let the clock jump back while a sensor is replaced."""
+    _jump(context, -JUMP, 'backwards')
+
+
 RESTART_CASES = (
     Case('node_restart', 'ends with 0; back in virtual by itself',
-         lambda context: _restart(context, signal.SIGTERM), 10.0, ALONE),
+         lambda context: _restart(context, signal.SIGTERM), 10.0, OURS),
     Case('kill_9', 'back in virtual by itself',
-         lambda context: _restart(context, signal.SIGKILL), 10.0, ALONE),
-    Case('two_replacers', f'said; then {ONE}', two_replacers, 16.0, ALONE),
+         lambda context: _restart(context, signal.SIGKILL), 10.0, OURS),
+    Case('two_replacers', f'said; then {ONE}', two_replacers, 16.0, OURS),
     Case('full_dev_shm', 'works all the same', full_dev_shm, 3.5, FULL_SHM),
     Case('paused_clock', 'nothing meanwhile, said; then virtual', paused_clock, 6.0, SIMULATED),
-    Case('clock_ahead', 'counted; virtual anew once converged',
-         lambda context: _jump(context, JUMP, 'forwards'), 6.0, SIMULATED),
-    Case('clock_back', 'counted; virtual anew once converged',
-         lambda context: _jump(context, -JUMP, 'backwards'), 6.0, SIMULATED),
+    Case('clock_ahead', 'counted; virtual anew once converged', clock_ahead, 6.0, SIMULATED),
+    Case('clock_back', 'counted; virtual anew once converged', clock_back, 6.0, SIMULATED),
 )

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import combinations
-
-import numpy as np
 
 from vsensor_ros.lab.injection.case import BIAS, Case, fail_over, ONE, UNDETECTED, WATCHED
 from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, Skipped, SOON
@@ -53,16 +50,6 @@ def handover(context: CaseContext) -> None:
     context.expect_no_step(context.target)
 
 
-def infinity(context: CaseContext) -> None:
-    """Let the readings be infinite."""
-    def begin() -> None:
-        context.undetected(context.target)
-        channels = context.machine.channels
-        said = channels[context.target]
-        channels[context.target] = replace(said, value=np.full_like(said.value, np.inf))
-    fail_over(context, begin)
-
-
 def toggle(context: CaseContext) -> None:
     """Let isolation change its mind at 1 Hz."""
     target, belief = context.target, context.tested.beliefs[context.target]
@@ -103,13 +90,13 @@ def relapse(context: CaseContext) -> None:
 
 def second_fault(context: CaseContext) -> None:
     """Let another sensor fail while the first is replaced, and recover before it."""
-    target, other = context.target, _other(context)
+    target, other = context.target, other_of(context)
     span = context.machine.truth.span
     context.fault('bias', size=BIAS * span[target])
     context.play(UNDETECTED)
     context.isolate(target)
     context.expect(target, 'virtual')
-    context.play(0.5)
+    context.play(context.apart)
     context.fault('bias', other, size=-BIAS * span[other])
     context.play(UNDETECTED)
     context.isolate(target, other)
@@ -126,7 +113,7 @@ def second_fault(context: CaseContext) -> None:
 
 def simultaneous(context: CaseContext) -> None:
     """Let two sensors fail in the same instant, and recover in the same."""
-    _together(context, (context.target, _other(context)))
+    _together(context, (context.target, other_of(context)))
 
 
 def unknown_set(context: CaseContext) -> None:
@@ -163,7 +150,7 @@ def silence(context: CaseContext) -> None:
     context.believe(target)
 
 
-def _other(context: CaseContext) -> str:
+def other_of(context: CaseContext) -> str:
     """Return the sensor that fails besides, one that has a virtual sensor if there is."""
     others = [s for s in context.tested.plant.sensors if s != context.target]
     if not others:
@@ -201,7 +188,7 @@ SENSOR_CASES = (
     Case('drift', ONE, _of('drift', rate=DRIFT), 2.5),
     Case('spikes', ONE, _of('spikes', size=SPIKE, probability=0.3), 2.5),
     Case('nan', ONE, _of('not_a_number'), 2.5),
-    Case('infinity', ONE, infinity, 2.5),
+    Case('infinity', ONE, _of('infinity'), 2.5),
     Case('toggle', ONE, toggle, 5.0),
     Case('relapse', ONE, relapse, 4.0),
     Case('silence', 'nothing without a basis; then virtual', silence, 5.0),

@@ -15,7 +15,10 @@ import time
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.domain import open_nodes, reserved_domain, stay_on_this_computer
-from vsensor_ros.lab.injection.case import ALONE, Case, FULL_SHM, PLAIN, SIMULATED
+from vsensor_ros.lab.injection.alone_cases import ALONE_CASES, LEARN
+from vsensor_ros.lab.injection.alone_context import AloneContext
+from vsensor_ros.lab.injection.blame import Found
+from vsensor_ros.lab.injection.case import Case, FULL_SHM, OURS, PLAIN, SIMULATED
 from vsensor_ros.lab.injection.case_context import CaseContext, GaveUp, Skipped, STARTED
 from vsensor_ros.lab.injection.machine import Exhausted, Machine
 from vsensor_ros.lab.injection.message_cases import MESSAGE_CASES
@@ -35,6 +38,7 @@ ALL = (START, *SENSOR_CASES, *MESSAGE_CASES, *RESTART_CASES)
 QUICK = frozenset({  # half of them: some of each kind, those that take the least time
     'start', 'handover', 'freeze', 'drop_out', 'bias', 'nan', 'simultaneous', 'unknown_set',
     'wrong_length', 'burst', 'disorder', 'isolator_restart', 'kill_9', 'paused_clock'})
+ALONE_QUICK = frozenset({'learning', 'freeze', 'bias'})
 
 
 @dataclass(frozen=True)
@@ -46,27 +50,30 @@ class CaseResult:
     seen: str
     outcome: str    # 'PASS', 'FAIL' or 'skipped'
     seconds: float
+    faults: tuple[Found, ...] = ()  # those injected where nobody isolates
 
 
 Say = Callable[[CaseResult], None]
 
 
-def choose(only: str, quick: bool) -> list[Case]:
+def choose(only: str, quick: bool, alone: bool = False) -> list[Case]:
     """Return the cases that are asked for, all by default; raise BadInput."""
     names = [name.strip() for name in only.split(',')] if only else []
-    known = [case.name for case in ALL]
+    cases, few = (ALONE_CASES, ALONE_QUICK) if alone else (ALL, QUICK)
+    known = [case.name for case in cases]
     for name in names:
         if name not in known:
             raise BadInput('', '--only', f'there is no case {name}',
                            f'choose from {", ".join(known)}')
-    return [case for case in ALL if (not names or case.name in names)
-            and (not quick or case.name in QUICK)]
+    return [case for case in cases if (not names or case.name in names)
+            and (not quick or case.name in few)]
 
 
 def truth_for(tested: UnderTest, cases: Sequence[Case]) -> Truth:
     """Return a truth that is long enough for each session of the cases; raise BadInput."""
     return compute_truth(tested.plant, tested.scenario, min(
-        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))))
+        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))),
+        tested.alone)
 
 
 def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: bool,
@@ -83,7 +90,7 @@ def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: b
         if not running:
             domain = stack.enter_context(reserved_domain())
             stay_on_this_computer()
-        for kind, members in groupby(cases, lambda case: PLAIN if case.session == ALONE
+        for kind, members in groupby(cases, lambda case: PLAIN if case.session == OURS
                                      and not running else case.session):
             left, tries = list(members), Counter[str]()
             why = _no_private_shm() if kind == FULL_SHM else ''
@@ -101,14 +108,24 @@ def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: b
 
 def _seconds(tested: UnderTest, cases: Sequence[Case]) -> float:
     """Return how long the machine must run in a session of some cases [s]."""
-    return START.seconds + tested.dwell + MARGIN + sum(
-        case.seconds + 2.0 * tested.dwell for case in cases)
+    return _first(tested).seconds + tested.dwell + MARGIN + sum(
+        _lasts(tested, case) for case in cases)
+
+
+def _lasts(tested: UnderTest, case: Case) -> float:
+    return case.seconds * (len(tested.plant.sensors) if case.each else 1) + 2.0 * tested.dwell
+
+
+def _first(tested: UnderTest) -> Case:
+    """Return what has to be passed before other cases."""
+    return LEARN if tested.alone else START
 
 
 @contextmanager
 def _session(tested: UnderTest, truth: Truth, domain: int | None, kind: str,
              running: bool) -> Iterator[CaseContext]:
     simulated = kind == SIMULATED or tested.parameters.simulated
+    tested.record.unlink(missing_ok=True)
     processes: list[Process] = []
 
     def start() -> Process:
@@ -122,8 +139,10 @@ def _session(tested: UnderTest, truth: Truth, domain: int | None, kind: str,
         process = None if running else start()
         with open_nodes('fault_injection', 'fault_injection_services', domain=domain,
                         ros_args=tested.parameters.ros_args) as (node, services):
-            machine = Machine(node, tested.wiring, truth, tested.parameters.node, simulated)
-            yield CaseContext(tested, machine, services, process, start)
+            machine = Machine(node, tested.wiring, truth, tested.parameters.node, simulated,
+                              not tested.alone)
+            kind_of = AloneContext if tested.alone else CaseContext
+            yield kind_of(tested, machine, services, process, start)
     finally:
         for ours in processes:
             if ours.alive:
@@ -139,6 +158,7 @@ def _play(context: CaseContext, left: list[Case], tries: Counter[str], note: Say
     truth that was computed would not last.
     """
     machine, tested = context.machine, context.tested
+    first = _first(tested)
     if why := _not_there(context):
         for case in left:
             note(CaseResult(case.name, case.expected, why, 'FAIL', 0.0))
@@ -146,18 +166,18 @@ def _play(context: CaseContext, left: list[Case], tries: Counter[str], note: Say
         return
     context.play(0.5)
     started = False
-    while left and (not started or machine.now + left[0].seconds + 2.0 * tested.dwell + MARGIN
+    while left and (not started or machine.now + _lasts(tested, left[0]) + MARGIN
                     <= machine.truth.end):
         case = left[0]
         # where there is no room in /dev/shm, to start is all there is to try
         if case.session != FULL_SHM and not (started and context.fresh):
-            result = _attempt(context, START, tries)
+            result = _attempt(context, first, tries)
             if result is None:
                 continue
             if not started or result.outcome == 'FAIL':
                 note(result)
             started = True
-        if case is START:
+        if case is first:
             left.pop(0)
         elif result := _attempt(context, case, tries):
             note(result)
@@ -206,10 +226,12 @@ def _try(context: CaseContext, case: Case) -> CaseResult:
     wrong = [] if skipped else context.finish()
     _settle(context)
     seconds = time.monotonic() - began
+    faults = tuple(context.found()) if isinstance(context, AloneContext) else ()
     if skipped:
         return CaseResult(case.name, case.expected, skipped, 'skipped', seconds)
     seen = '; '.join(wrong) if wrong else '; '.join(context.seen) or 'as expected'
-    return CaseResult(case.name, case.expected, seen, 'FAIL' if wrong else 'PASS', seconds)
+    return CaseResult(case.name, case.expected, seen, 'FAIL' if wrong else 'PASS', seconds,
+                      faults)
 
 
 def _settle(context: CaseContext) -> None:
@@ -217,7 +239,7 @@ def _settle(context: CaseContext) -> None:
     context.machine.paused = False
     try:
         context.heal()
-        if context.machine.isolator is None:
+        if context.machine.isolator is None and not context.tested.alone:
             context.machine.open_isolator()
         if context.process is not None and not context.process.alive:
             context.process = context.start()

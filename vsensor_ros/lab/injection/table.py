@@ -30,7 +30,8 @@ class Table:
         virtual = tested.virtual
         print(f'{tested.plant.name}: {tested.target} fails, replaced out of '
               f'{", ".join((*virtual.reads, *virtual.commands)) or "nothing"}; without an '
-              f'estimate: {tested.without_estimate}')
+              f'estimate: {tested.without_estimate}'
+              f'{"; nobody tells it who failed" if tested.alone else ""}')
         head = f'{"case":{NAME}}{"expected":{EXPECTED}}seen'
         print(head, '-' * self.width, sep='\n', flush=True)
 
@@ -78,11 +79,12 @@ def list_cases(cases: Sequence[Case]) -> None:
 
 
 def inject_and_show(plant: Path, params_file: Path, scenario: Path | None, cases: Sequence[Case],
-                    running: bool, report: Path | None, ros_args: Sequence[str]) -> int:
+                    running: bool, report: Path | None, ros_args: Sequence[str],
+                    alone: bool = False) -> int:
     """Run cases, show and report what becomes of them; return the exit status. Raise BadInput."""
     with tempfile.TemporaryDirectory(prefix='fault_injection_') as folder:
         began, work = time.monotonic(), Path(folder)
-        tested = read_under_test(plant, params_file, scenario, work, ros_args)
+        tested = read_under_test(plant, params_file, scenario, work, ros_args, alone)
         if report:  # that it cannot be written is not found in the end
             write_report(report, [])
         truth = truth_for(tested, cases)

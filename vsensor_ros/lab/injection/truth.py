@@ -23,6 +23,7 @@ SENSOR_RATE = 100.0     # Hz, the same of a continuous plant
 TRIED = 4.0             # s in which those must move every sensor, or they are made wider
 WIDER = (1.0, 2.0, 4.0, 8.0)  # friction holds what is pushed too weakly
 SLOW, FAST = 0.7, 1.9   # rad/s, of the commands where no scenario gives them
+NOISE = 0.002           # of the range, where some is asked for and nothing gives any
 FALLEN = 10.0           # a plant that moves so much more in the last quarter than before runs away
 
 
@@ -46,12 +47,13 @@ class Truth:
         return np.interp(time, self.time, self.value[sensor])
 
 
-def compute_truth(plant: Plant, scenario: Path | None, duration: float) -> Truth:
+def compute_truth(plant: Plant, scenario: Path | None, duration: float,
+                  noisy: bool = False) -> Truth:
     """
     Simulate a plant for `duration` [s], driven as the `simulation` of a demo.yaml says.
 
     Without a scenario, or where it gives no inputs, the commands swing about the operating point.
-    Raises BadInput.
+    noisy: a sensor of which nothing gives the noise has some. Raises BadInput.
     """
     given = Section(plant.name, 'simulation', {}) if scenario is None else _simulation(scenario)
     given.expect(set(), DRIVE)
@@ -72,8 +74,10 @@ def compute_truth(plant: Plant, scenario: Path | None, duration: float) -> Truth
     if name := _fallen(run):
         raise BadInput(given.where, f'simulation.inputs: {name}',
                        f'runs away: {plant.name} {_unheld(plant, drive)}', HOLD)
-    return Truth(run.time, run.readings, drive.said(run) | run.commands,
-                 {s: float(np.ptp(y)) for s, y in run.readings.items()}, drive.noise)
+    span = {s: float(np.ptp(y)) for s, y in run.readings.items()}
+    if noisy:
+        drive = replace(drive, noise={s: drive.noise[s] or NOISE * span[s] for s in span})
+    return Truth(run.time, run.readings, drive.said(run) | run.commands, span, drive.noise)
 
 
 def _simulation(path: Path) -> Section:

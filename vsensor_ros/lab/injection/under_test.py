@@ -38,6 +38,7 @@ class UnderTest:
     max_age: dict[str, float]       # s, by sensor
     without_estimate: str
     target: str                     # the sensor that fails
+    alone: bool                     # its own isolator acts, and nobody else isolates
     work: Path                      # an existing folder, for logs
 
     @property
@@ -52,6 +53,11 @@ class UnderTest:
         """Return the longest dwell [s]."""
         return max(belief.dwell for belief in self.beliefs.values())
 
+    @property
+    def record(self) -> Path:
+        """Return the file in which its own isolator keeps what it has learnt."""
+        return self.work / 'isolator.json'
+
     def serves(self, faulty: Sequence[str], name: str) -> str:
         """Return who must serve a channel in the end: 'real', 'virtual' or 'none'."""
         if name not in faulty:
@@ -63,38 +69,46 @@ class UnderTest:
     def arguments(self, simulated: bool) -> list[str]:
         """Return the command line of a replacer; simulated: its time is that of /clock."""
         changed: dict[str, object] = {'use_sim_time': True} if simulated else {}
+        if self.alone:
+            changed |= {'isolator.mode': 'act', 'isolator.recovery': 'hold',
+                        'isolator.record': str(self.record)}
         return self.parameters.command_line(
             self.work / 'changed.yaml', design_file=str(self.design_file), **changed)
 
 
 def read_under_test(plant_file: Path, params_file: Path, scenario: Path | None, work: Path,
-                    ros_args: Sequence[str]) -> UnderTest:
+                    ros_args: Sequence[str], alone: bool = False) -> UnderTest:
     """
     Read all, design what is not designed into `work`; raise BadInput.
 
-    scenario: None for the one beside the plant file, if there is one that is simulated.
+    scenario: None for the one beside the plant file, if there is one that is simulated. alone:
+    nobody but its own isolator isolates.
     """
     plant, parameters = load_plant(plant_file), read_parameters(params_file, ros_args)
     wiring = wiring_of(parameters)
     for name in (*plant.sensors, *plant.inputs):
         if name not in wiring.ports:
             raise BadInput(params_file, name, 'has no topic', f'wire what {plant_file} names')
-    beside = plant_file.parent / 'demo.yaml'
-    if scenario is None and beside.is_file() and 'simulation' in Section.of(beside).content:
-        scenario = beside
+    for name in ('demo_alone.yaml', 'demo.yaml')[0 if alone else 1:]:
+        beside = plant_file.parent / name
+        if scenario is None and beside.is_file() and 'simulation' in Section.of(beside).content:
+            scenario = beside
     design_file = Path(str(parameters.given.get('design_file', '')))
     if design_file.is_file():
         design = Design.load(design_file)
     else:
-        design, design_file = make_design(plant), work / f'{plant.name}.design.json'
+        design, design_file = make_design(plant, isolate=alone), work / f'{plant.name}.design.json'
         design.save(design_file)
+    if alone and (design.isolability is None or not design.isolability.residuals):
+        raise BadInput(design_file, 'isolability', 'no residual tells of a fault',
+                       'design with designer --isolate, or leave out --alone')
     beliefs = {name: Belief(parameters.of(name, 'recovery'), parameters.of(name, 'dwell'),
                             parameters.of(name, 'silent') == 'replace') for name in plant.sensors}
     max_age = {name: max(parameters.of(name, 'max_age'), 3.0 / parameters.general('rate'))
                for name in plant.sensors}
     return UnderTest(plant, scenario, design, design_file, parameters, wiring, beliefs, max_age,
                      parameters.general('without_estimate'), _target(design, plant, scenario),
-                     work)
+                     alone, work)
 
 
 def _target(design: Design, plant: Plant, scenario: Path | None) -> str:

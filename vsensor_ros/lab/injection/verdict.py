@@ -48,6 +48,14 @@ class StatusHeard(NamedTuple):
     facts: Mapping[str, Mapping[str, str]]  # by channel
 
 
+class Said(NamedTuple):
+    """One message of the replacer's own isolator."""
+
+    arrival: float              # s, monotonic
+    state: str
+    kinds: Mapping[str, str]    # of fault, by sensor that is blamed
+
+
 @dataclass
 class Evidence:
     """All that was heard in one case, and what is known of when it may be what."""
@@ -56,6 +64,7 @@ class Evidence:
     outs: list[Out] = field(default_factory=list)
     told: list[StatusHeard] = field(default_factory=list)
     stated: dict[str, list[Stated]] = field(default_factory=dict)   # by channel, in order
+    said: list[Said] = field(default_factory=list)
     unreadable: int = 0         # messages on output topics that are none of their type
     blind: dict[str, list[Span]] = field(default_factory=dict)  # faults nobody knows of yet
     quiet: list[Span] = field(default_factory=list)     # nothing need go out

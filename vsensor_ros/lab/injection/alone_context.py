@@ -1,0 +1,172 @@
+"""What a case acts on where nobody isolates: the replacer's own isolator has to find out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+import math
+import time
+
+from vsensor_ros.lab.injection.blame import (
+    BY_READINGS,
+    BY_RESIDUALS,
+    expected,
+    Found,
+    found_of,
+    HEALTHY,
+    Injected,
+    ISOLATED,
+    judge_blame,
+)
+from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED
+from vsensor_ros.lab.injection.verdict import PART, Said, SIGMAS
+from vsensor_ros.observers import Isolability
+
+LEARNING = 1400     # readings of a healthy machine, before which its habits are not known
+FOUND = 10.0        # s in which a fault must have been found, beside the max_age of its sensor
+WINDOW = 64         # readings in which noise is looked for
+JUDGED = 0.3        # s until what was read last has been judged
+RETURNED = 3.0      # s in which a residual must have come back
+CALM = 30.0         # s in which a suspicion must have passed
+
+
+@dataclass
+class AloneContext(CaseContext):
+    """A replacer whom nobody tells who has failed."""
+
+    learnt_since: float = 0.0   # s of the machine's time
+
+    apart = 6.0     # all that alarms within 5 s is one fault
+
+    def begin(self) -> None:
+        """Begin a case: what was heard before is forgotten."""
+        super().begin()
+        self.machine.heard.said.append(self.machine.verdict._replace(arrival=time.monotonic()))
+        self.injected: list[Injected] = []
+
+    def finish(self) -> list[str]:
+        """End a case: judge all that was heard; return what was wrong."""
+        wrong, heard = super().finish(), self.machine.heard
+        self.seen[:0] = [str(found) for found in self.found()]
+        return wrong + judge_blame(heard.said, self.injected, heard.begun)
+
+    def found(self) -> list[Found]:
+        """Return what became of the faults of this case."""
+        return [found_of(fault, self.machine.heard, self.machine.truth)
+                for fault in self.injected]
+
+    # ------------------------------------------------------------------------------ faults
+
+    def expected(self, faults: Mapping[str, str]) -> tuple[str, frozenset[str]] | None:
+        """Return the state that new faults by sensor lead to, and who must be blamed."""
+        return expected(self._isolability, self.tested.plant.sensors, faults)
+
+    @property
+    def _isolability(self) -> Isolability:
+        found = self.tested.design.isolability
+        assert found is not None
+        return found
+
+    def fault(self, kind: str, name: str = '', /, **size: float) -> None:
+        """Let a sensor, by default the target, fail from now on."""
+        name = name or self.target
+        super().fault(kind, name, **size)
+        self.note(kind, name)
+
+    def note(self, kind: str, name: str) -> None:
+        """Note that a sensor fails from now on."""
+        if name in self.machine.faulty:     # one that was blamed goes on
+            for fault in self.injected:
+                fault.healed = math.inf if fault.sensor == name else fault.healed
+            return
+        found = self.expected({name: kind}) == (ISOLATED, frozenset({name}))
+        self.injected.append(Injected(
+            name, kind, (BY_READINGS | BY_RESIDUALS)[kind] if found else '', time.monotonic()))
+
+    def heal(self) -> None:
+        """Let all sensors measure again."""
+        super().heal()
+        for fault in self.injected:
+            fault.healed = min(fault.healed, time.monotonic())
+
+    def forget(self) -> None:
+        """Forget what the replacer said: it is another one."""
+        self.machine.latest, self.machine.faulty = {}, frozenset()
+        self.machine.verdict = Said(time.monotonic(), '', {})
+
+    # --------------------------------------------------------------------------- isolation
+
+    def isolate(self, *names: str) -> None:
+        """Wait until these have been found, too; those found before stay so until cleared."""
+        for name in names:
+            if name not in self.machine.faulty:
+                self.until(partial(self._blames, name), FOUND + self.tested.max_age[name],
+                           f'{name} blamed')
+                for fault in self.injected:
+                    fault.awaited |= fault.sensor == name
+        super().isolate(*dict.fromkeys([*self.machine.faulty, *names]))
+
+    def believe(self, *names: str, others: tuple[str, ...] = ()) -> None:
+        """Clear sensors that are healthy again, once that shows."""
+        for name in names:
+            if name in self.machine.verdict.kinds:
+                self._await_return(name)
+                self.clear(name)
+                self.until(partial(self._blames, name, False), RETURNED, f'{name} cleared')
+            self.expect(name, 'real')
+
+    def _blames(self, name: str, does: bool = True) -> bool:
+        return (name in self.machine.verdict.kinds) is does
+
+    def clear(self, name: str) -> None:
+        """Have the isolator forget what it has against a sensor."""
+        for fault in self.injected:
+            if fault.sensor == name and fault.awaited:
+                fault.over = min(fault.over, time.monotonic() + JUDGED)
+        self.machine.faulty -= {name}
+        if any(f.sensor == name and f.healed == math.inf for f in self.injected):
+            self.undetected(name)
+        latched = self.tested.beliefs[name].recovery == 'latched'
+        if not self.call('reset' if latched else f'{name}/clear'):
+            self.wrong.append(f'{name} could not be cleared')
+        self.fresh &= not latched
+
+    def _await_return(self, name: str) -> None:
+        """Wait until what a healed sensor reads is near its estimate again, as ~/status says."""
+        healed = time.monotonic()
+        self.play(JUDGED)
+        if any(f.sensor == name and f.fault == 'noise' for f in self.injected):
+            self.play(WINDOW / self.tested.parameters.general('rate'))
+
+        def near() -> bool:
+            status = self.machine.heard.told[-1]
+            facts = status.facts.get(name, {})
+            residual, deviation = _number(facts, 'residual'), _number(facts, 'deviation')
+            bar = max(PART * self.span(name), SIGMAS * (deviation or 0.0))
+            return status.arrival > healed + JUDGED and (
+                facts.get('source') != 'virtual' or residual is None or abs(residual) <= bar)
+        self.until(near, RETURNED, f'{name} near its estimate')
+
+    def await_state(self, state: str, within: float) -> None:
+        """Play until the isolator is in a state; note if it is not in time."""
+        self.until(lambda: self.machine.verdict.state == state, within,
+                   f'the isolator {state}, but {self.machine.verdict.state or "silent"}:')
+
+    def learn(self) -> None:
+        """Let the healthy machine be learnt; nobody is suspected, all can be replaced."""
+        rate = self.tested.parameters.general('rate')
+        self.await_state(HEALTHY, CALM)
+        self.play(max(0.0, LEARNING / rate - (self.machine.now - self.learnt_since)))
+        self.until(lambda: self.machine.latest[self.target].get('reserve') != 'not ready',
+                   CONVERGED, f'a reserve for {self.target}')
+        self.fresh = True
+
+
+def _number(facts: Mapping[str, str], key: str) -> float | None:
+    """Return a finite number that a status has; None where it has none."""
+    try:
+        number = float(facts.get(key, ''))
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
