@@ -48,7 +48,7 @@ class Lacks:
             wait = self._serving.until_ready(output)
             if wait == math.inf:
                 return Reason.of('start unknown')
-            return self._converging(output, wait) if wait else self.invalid(output)
+            return self.invalid(output) or (self._converging(output, wait) if wait else None)
         missing = self._told.missing(self._batch.starts_on[self._of[output]], now)
         if missing is not None:
             return missing

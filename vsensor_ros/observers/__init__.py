@@ -5,7 +5,7 @@ A new kind is a file in ``kinds/`` and a line here, so that it is known wherever
 """
 
 from vsensor_ros.observers.design import Design
-from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.entry import Entry, FAULT, Key, Refusal
 from vsensor_ros.observers.isolability import (
     Distinction,
     Isolability,
@@ -27,6 +27,7 @@ from vsensor_ros.observers.kinds import (
     Tracked,
 )
 from vsensor_ros.observers.kinds.extended import EXTENDED, ExtendedSensor, Model
+from vsensor_ros.observers.kinds.fault_estimator import FAULT_ESTIMATOR, FaultObserver
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
 from vsensor_ros.observers.kinds.functional.convergence import settling_time
 from vsensor_ros.observers.kinds.functional.tracking import (
@@ -40,9 +41,11 @@ from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep
 register(FUNCTIONAL)
 register(EXTENDED)
 register(TAKAGI_SUGENO)
+register(FAULT_ESTIMATOR)
 
-__all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
-           'Distinction', 'Entry', 'ExtendedSensor', 'Isolability', 'Key', 'Kind', 'Limit',
-           'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung',
+__all__ = ['FAULT', 'NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate',
+           'Design', 'Distinction', 'Entry', 'ExtendedSensor', 'FaultObserver', 'Isolability',
+           'Key', 'Kind', 'Limit', 'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual',
+           'Rung',
            'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'VirtualSensor',
            'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register', 'settling_time']

@@ -8,6 +8,7 @@ from typing import Protocol
 from vsensor_ros.observers.knowledge import Certificate, Noise, Proof
 
 Key = tuple[tuple[str, ...], str]  # fault set and channel
+FAULT = 'fault.'  # stands before the name of a sensor or an input: so its fault is called
 
 
 class Entry(Protocol):

@@ -18,7 +18,7 @@ from vsensor_ros.bad_input import BadInput, check_text, reason
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.entry import Entry, FAULT, Key, Refusal
 from vsensor_ros.observers.isolability_section import isolability_record, read_isolability
 from vsensor_ros.observers.kinds import kind_named, kind_names
 from vsensor_ros.text_file import looked_in
@@ -123,10 +123,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     units = plant.get('units', dict, 'an object')
     for text in (*units, *units.values()):
         check_text(text, path, 'plant.units')
-    wanted = top.names('wanted')
-    for name in wanted:
-        if name in sensors:
-            raise top.fail('wanted', f'{name} is a sensor')
+    wanted = _read_wanted(top, (*sensors, *inputs), sensors)
     Cu = plant.array('Cu', len(sensors), len(inputs)) if 'Cu' in plant.record else None
     entries: dict[Key, Entry | Refusal] = {}
     design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
@@ -144,6 +141,20 @@ def _from_record(record: Any, path: str | Path) -> Contents:
         return design
     return replace(design, isolability=read_isolability(top.object('isolability'), design,
                                                         version))
+
+
+def _read_wanted(top: CheckedObject, known: tuple[str, ...],
+                 sensors: tuple[str, ...]) -> tuple[str, ...]:
+    """Read names of functionals, and of faults of what is known."""
+    faults = [FAULT + name for name in known]
+    wanted = [name for name in top.get('wanted', list, 'a list of names') if name not in faults]
+    for name in replace(top, record={'wanted': wanted}).names('wanted'):
+        if name in sensors:
+            raise top.fail('wanted', f'{name} is a sensor')
+    found = tuple(top.record['wanted'])
+    if len(set(found)) < len(found):
+        raise top.fail('wanted', 'holds a name twice')
+    return found
 
 
 def _read_tolerances(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, float]:

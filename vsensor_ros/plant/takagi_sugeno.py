@@ -9,8 +9,9 @@ nonlinearity.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+import hashlib
 import itertools
 from typing import Any
 
@@ -58,6 +59,11 @@ class TakagiSugeno:
     memberships: tuple[str, ...]  # V expressions of the premises
     sample_time: float | None  # s
     remarks: tuple[str, ...] = ()  # what is to be told of how it was made
+    units: Mapping[str, str] = field(default_factory=dict)
+    box: np.ndarray | None = None  # (n + m, 2) where states and inputs lie; None: nobody said
+    # how large noise is at most, None: nobody said: of a step (n,), of readings (l,)
+    state_noise: np.ndarray | None = None
+    reading_noise: np.ndarray | None = None
 
     @classmethod
     def of_submodels(cls, A: Any, B: Any, C: Any, *, premises: Mapping[str, Any],
@@ -161,6 +167,16 @@ class TakagiSugeno:
         if (worst := int(off.argmax()), off.max() > _SUM)[1]:
             raise BadInput(where, 'memberships', f'sum to {h[:, worst].sum():.6g} at '
                            f'{self.told(at[:, worst])}', 'let them sum to 1 there')
+
+    def hash(self) -> str:
+        """Return the SHA-256 of what a design depends on."""
+        digest = hashlib.sha256()
+        for key, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                value = value.shape, [float(v + 0.0).hex() for v in value.ravel()]
+            if key not in ('_weights', 'remarks', 'units'):
+                digest.update(f'{key}:{value};'.encode())
+        return digest.hexdigest()
 
     def told(self, at: np.ndarray) -> str:
         """Return premises (p,) in words: 'id = -21.9, iq = 0'."""

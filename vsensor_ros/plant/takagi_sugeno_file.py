@@ -4,11 +4,14 @@ Read the plant file of a Takagi-Sugeno plant (YAML).
 Keys: name, description, time, parameters, states, inputs, disturbances, sensors (measures) as in
 any plant file; premises, {name: [low, high]}, with a membership in each submodel, or grid, {name:
 [points]}, between which submodels are blended linearly; submodels, a list of A, B, D, offset and
-membership. Of a grid they are listed with the last premise running fastest.
+membership. Of a grid they are listed with the last premise running fastest. States and inputs may
+have a range; states and sensors a noise_bound: how large it is at most, of a step, of a reading.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +28,11 @@ _TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'distur
 def load_takagi_sugeno(path: str | Path) -> TakagiSugeno:
     """Read a plant file with submodels; raises BadInput, one line."""
     file = Entries(path, _TOP)
-    states, inputs, disturbances = (tuple(file.section(key, ('unit',)))
-                                    for key in ('states', 'inputs', 'disturbances'))
-    sensors = file.section('sensors', ('measures', 'unit'), 'measures')
+    of_states = file.section('states', ('unit', 'range', 'noise_bound'))
+    of_inputs = file.section('inputs', ('unit', 'range'))
+    of_disturbances = file.section('disturbances', ('unit',))
+    states, inputs, disturbances = map(tuple, (of_states, of_inputs, of_disturbances))
+    sensors = file.section('sensors', ('measures', 'unit', 'noise_bound'), 'measures')
     for key, found in (('states', states), ('sensors', sensors)):
         if not found:
             raise file.fail(key, 'is missing or empty', f'name the {key}')
@@ -67,11 +72,29 @@ def load_takagi_sugeno(path: str | Path) -> TakagiSugeno:
     for name, axis in axes.items():
         if not gridded and len(axis) != 2:
             raise file.fail(f'premises.{name}', f'are {len(axis)} numbers', 'write [low, high]')
-    return TakagiSugeno.of_submodels(
+    plant = TakagiSugeno.of_submodels(
         A, B, C, E=E, a=a, premises={name: [axis[0], axis[-1]] for name, axis in axes.items()},
         memberships=weights, states=states, inputs=inputs, disturbances=disturbances,
         sensors=tuple(sensors), sample_time=file.sample_time(),
         name=file.required(file.content, 'name', '', 'write name: my_plant'), where=file.path)
+    return replace(
+        plant, box=np.vstack([file.ranges('states', of_states), file.ranges('inputs', of_inputs)]),
+        units={name: entry['unit'] for section in (of_states, of_inputs, of_disturbances, sensors)
+               for name, entry in section.items() if entry.get('unit')},
+        state_noise=_bounds(file, 'states', of_states),
+        reading_noise=_bounds(file, 'sensors', sensors))
+
+
+def _bounds(file: Entries, key: str, entries: Mapping[str, Mapping[str, Any]],
+            ) -> np.ndarray | None:
+    """Read how large noise is at most, None where nothing is said; each must say it, or none."""
+    given = [file.deviation(entry, 'noise_bound', f'{key}.{name}')
+             for name, entry in entries.items()]
+    for name, value in zip(entries, given):
+        if np.isnan(value) and not np.isnan(given).all():
+            raise file.fail(f'{key}.{name}.noise_bound', 'is missing, while others say it',
+                            'give how large its noise is at most, 0: none')
+    return None if np.isnan(given).any() else np.array(given)
 
 
 def _numbers(file: Entries, value: Any, key: str) -> list[float]:

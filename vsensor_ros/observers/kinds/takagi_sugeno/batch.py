@@ -9,14 +9,11 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.batch import Batch, Told
 from vsensor_ros.observers.kinds.takagi_sugeno.sensor import ScheduledSensor
-from vsensor_ros.reason import add_sentences, Reason
-
-add_sentences({'premises out of range': 'nothing is proved where {names} are now'})
+from vsensor_ros.observers.memberships import Weights
+from vsensor_ros.reason import Reason
 
 SETTLED = 0.05  # of the half-width: what is left of the start when it is ready
 SURE = 2.0  # standard deviations in a half-width
@@ -27,9 +24,8 @@ class ScheduledBatch(Batch):
     """V of one output; a state is z, padded, the bound of e' S e and the time [s] it has run."""
 
     entries: tuple[ScheduledSensor, ...]
-    weights: tuple[Equations, ...]
+    weights: Weights
     period: float
-    premises: tuple[np.ndarray, ...]  # V of (p, L + m): of readings and commands
     N: np.ndarray  # (V, submodels, k, k), padded with zeros as all below
     drive: np.ndarray  # (V, submodels, k, L + m)
     a: np.ndarray  # (V, submodels, k)
@@ -48,7 +44,7 @@ class ScheduledBatch(Batch):
         """Step exactly: matrices in the mean, what drives them as a straight line."""
         k = self.width - 2
         ends = [np.concatenate([told.y, u]) for told, u in zip((before, after), commands)]
-        (h0, in0), (h1, in1) = (self._weighed(end) for end in ends)
+        (h0, in0), (h1, in1) = (self.weights.at(end) for end in ends)
         g0, g1 = (np.einsum('vs,vsk->vk', h, self.drive @ end + self.a)
                   for h, end in zip((h0, h1), ends))
         M = np.zeros((len(z), k + 2, k + 2))
@@ -68,17 +64,6 @@ class ScheduledBatch(Batch):
         ended = np.column_stack([ended, bound, z[:, k + 1] + self.period])
         return np.where(inside[:, None], ended, self.first), ~inside
 
-    def _weighed(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weights (V, submodels), padded, and whether premises are in range (V,)."""
-        h, inside = np.zeros(self.a.shape[:2]), np.zeros(len(self.entries), dtype=bool)
-        for i, (entry, weights) in enumerate(zip(self.entries, self.weights)):
-            at = self.premises[i] @ end
-            low, high = entry.ranges.T
-            inside[i] = bool(((low <= at) & (at <= high)).all())
-            if inside[i]:
-                h[i, :len(entry.N)] = weights.values(at[:, None])[:, 0]
-        return h, inside
-
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return Cv z + Q y0 of each."""
         return np.asarray((z[..., :-2] * self.row).sum(axis=-1) + y @ self.Q.T)
@@ -89,15 +74,11 @@ class ScheduledBatch(Batch):
 
     def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
         """Say nothing while premises are out of their ranges."""
-        if not self.outside_region(output, z, told):
-            return None
-        return Reason.of('premises out of range', names=self.entries[output].premises)
+        return self.weights.why_not(output, np.concatenate([told.y, told.held]))
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether premises are out of their ranges."""
-        at = self.premises[output] @ np.concatenate([told.y, told.held])
-        low, high = self.entries[output].ranges.T
-        return not bool(((low <= at) & (at <= high)).all())
+        return not self.weights.inside(output, np.concatenate([told.y, told.held]))
 
     def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Return what is left of the start, and what happened between readings."""
@@ -149,9 +130,7 @@ def make_batch(entries: Sequence[ScheduledSensor], design: Contents, period: flo
         error=np.array([e.half_width / SURE for e in entries]), assumed=np.zeros(V, dtype=bool),
         slowest=1.0 / decay, warm_up=np.array([_until(e.start, e.decay) for e in entries]),
         proved=np.ones(V, dtype=bool), wants_held=True, entries=tuple(entries), period=period,
-        weights=tuple(Equations([parse(text) for text in e.memberships], e.premises)
-                      for e in entries),
-        premises=tuple(premises), N=N, drive=drive, a=a, first=first, row=row, S=form,
+        weights=Weights(entries, premises), N=N, drive=drive, a=a, first=first, row=row, S=form,
         Q=Q, fading=np.exp(-2.0 * decay * period))
 
 

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.takagi_sugeno.sensor import ScheduledSensor
+from vsensor_ros.observers.memberships import read_memberships
 
 _MOST = 64  # submodels
 _ARRAYS = ('ranges', 'from_readings', 'from_inputs', 'N', 'J', 'B', 'a', 'Cv', 'Q', 'S', 'initial')
 _NUMBERS = ('start', 'decay', 'half_width', 'direct')
-_OFF = 1e-9  # by which memberships may be off
 
 
 def write_section(entry: ScheduledSensor) -> dict[str, Any]:
@@ -38,23 +36,14 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('channel', f'{channel} is not a sensor of its fault set')
     if plant.sample_time is not None:
         raise reader.fail('kind', 'is for plants in continuous time')
-    memberships = reader.texts('memberships')
-    V, k, r, m, p = (len(memberships), reader.whole('order'), len(reads), len(plant.inputs),
-                     len(premises))
+    V, k, r, m, p = (len(reader.texts('memberships')), reader.whole('order'), len(reads),
+                     len(plant.inputs), len(premises))
     if not 0 < V <= _MOST:
         raise reader.fail('memberships', f'are {V}, not 1 to {_MOST}')
     shapes = dict(zip(_ARRAYS, ((p, 2), (p, r), (p, m), (V, k, k), (V, k, r), (V, k, m), (V, k),
                                 (1, k), (1, r), (k, k), (k,))))
     arrays = {key: reader.array(key, *shape) for key, shape in shapes.items()}
-    low, high = arrays['ranges'].T
-    if not (low < high).all():
-        raise reader.fail('ranges', 'are not low and high')
-    parsed = [parse(text, reader.path, f'{reader.place}memberships[{i}]', known=premises)
-              for i, text in enumerate(memberships)]
-    share = np.random.default_rng(0).random((p, 200))
-    h = Equations(parsed, premises).values(low[:, None] + (high - low)[:, None] * share)
-    if not ((h >= -_OFF).all() and (abs(h.sum(axis=0) - 1.0) <= _OFF).all()):
-        raise reader.fail('memberships', 'are negative, or do not sum to 1, in the ranges')
+    memberships = read_memberships(reader, premises, arrays['ranges'])
     if not np.linalg.eigvalsh(arrays['S'] + arrays['S'].T).min(initial=np.inf) > 0.0:
         raise reader.fail('S', 'is not positive definite')
     numbers = {key: reader.size(key) for key in _NUMBERS}
