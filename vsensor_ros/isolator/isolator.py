@@ -150,7 +150,7 @@ class Isolator:
         healthy = not diagnosis.stands
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
-        if diagnosis.stands or direct or alarms.any():
+        if diagnosis.stands or direct or np.count_nonzero(alarms):
             diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
             self._follow(time, direct)
         if self._count_spikes(now) or not healthy or diagnosis.stands or self._verdict.time == 0 \
@@ -165,7 +165,7 @@ class Isolator:
         found: dict[int, str] = {}
         for kind, which in ((NOISE, channels.noisy()), (STUCK, channels.stuck(self.watch.said)),
                             (DROPPED, channels.dropped())):
-            if which.any():
+            if np.count_nonzero(which):
                 found |= dict.fromkeys(np.flatnonzero(which).tolist(), kind)
         return found
 
