@@ -15,6 +15,7 @@ from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
 FEWEST_REPEATS = 5
+FEWEST_RUNS = 10  # of repeats, before which it is not known how long a quiet channel rests
 KNOWN = 1000  # samples, before which the habits of a channel are not known
 MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
 ROUGH = 64  # samples of the window of roughness
@@ -242,7 +243,8 @@ class Channels:
             return np.zeros(len(self.run), dtype=bool)
         stuck, late = self.run >= self._needed, self.run > self.longest
         if np.count_nonzero(late):
-            quiet = late & np.isinf(self._needed) & (self.pairs >= KNOWN)
+            quiet = late & np.isinf(self._needed) & (self.pairs >= KNOWN) & (
+                self.repeats - self.again >= FEWEST_RUNS)
             enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
             stuck |= quiet & (np.abs(estimates - self._from) > enough)
         return stuck
