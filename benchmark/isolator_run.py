@@ -128,9 +128,15 @@ class Fleet:
         now = self.ticks * PERIOD
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
+            model = list(diagnosis.conflicts) if diagnosis.model else []
             diagnosis.update(now, self.alarms[m], running[m],
                              [1 << int(j) for j in np.flatnonzero(self.direct[m])])
+            if model and not diagnosis.stands:
+                self._admit(m, model)
             (self.busy.add if diagnosis.stands else self.busy.discard)(m)
+
+    def _admit(self, machine: int, checks: list[int]) -> None:
+        self.watch.detector.admit(machine * len(self.checks) + np.array(checks))
 
     def healthy(self, seconds: float) -> list[tuple[float, int, str]]:
         """Run without faults; return each time that somebody was blamed or the model was."""
@@ -145,6 +151,8 @@ class Fleet:
                          if d.candidates else '')
                 if state and known.get(m) != state:
                     told.append((self.ticks * PERIOD, m, state))
+                    if state == 'model':
+                        self._admit(m, list(d.conflicts))
                     if state != 'suspected':  # whoever looks after it says that it is healthy
                         self.diagnoses[m] = Diagnosis(self.supports)
                         self.busy.discard(m)

@@ -85,3 +85,9 @@ class Diagnosis:
         self.direct.pop(sensor, None)
         self._judge(time, running)
         return gone
+
+    def dismiss(self) -> list[int]:
+        """End a verdict that blames the model; return the checks that it was about."""
+        gone, self.model = list(self.conflicts), False
+        self.conflicts.clear()
+        return gone

@@ -134,7 +134,11 @@ class Isolator:
         if sensor not in self.sensors:
             raise KeyError(f'{sensor}: no such sensor; there are {", ".join(self.sensors)}')
         if self._time is not None:
-            self._forgive(self.sensors.index(sensor), self._time)
+            j = self.sensors.index(sensor)
+            if self._diagnosis.model and j not in self._known:  # so says who looked after it
+                self._admit(self._diagnosis.dismiss())
+            else:
+                self._forgive(j, self._time)
             self._say(self._time)
 
     def _start_anew(self) -> None:
@@ -147,11 +151,13 @@ class Isolator:
         for kept in (self._readings, self._estimates):
             if not (kept.max(initial=0.0) < LARGEST and kept.min(initial=0.0) > -LARGEST):
                 kept[~(np.abs(kept) < LARGEST)] = np.nan
-        healthy = not diagnosis.stands
+        healthy, model = not diagnosis.stands, list(diagnosis.conflicts) if diagnosis.model else []
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
         if diagnosis.stands or direct or np.count_nonzero(alarms):
             diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
+            if model and not diagnosis.stands:
+                self._admit(model)
             self._follow(time, direct)
         if self._count_spikes(now) or not healthy or diagnosis.stands or self._verdict.time == 0 \
                 or self._known or self._verdict.notes:
@@ -232,6 +238,12 @@ class Isolator:
         gone = self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
         self.watch.detector.restart(np.array(gone, dtype=np.int64))
         self._known.pop(j, None)
+
+    def _admit(self, checks: list[int]) -> None:
+        """Learn from alarms for which no sensor was to blame, and which are over."""
+        gone = np.array(checks, dtype=np.int64)
+        self.watch.detector.admit(gone)
+        self.watch.detector.restart(gone)
 
     def _count_spikes(self, now: float) -> bool:
         new = False

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from vsensor_ros.isolator.block_maxima import Floats
 from vsensor_ros.isolator.channels import Channels
 from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, WINDOWS
+from vsensor_ros.isolator.motion import Motion
 
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
+FARTHEST = 3.0  # times the motion that was learnt is what motion beyond counts as at most
 SHORTEST = 16  # samples of a check that counts
 LASTING = 2  # the window against whose thresholds a median is held
 FAST = 0.02  # s; up to this period four samples are taken at a time
@@ -46,6 +48,18 @@ class Watch:
         self.gain = self.gains.max(axis=1, initial=0.0)
         self.detector = Detector(period, self.batch, false_alarms, PRIOR * noise, WILD * noise)
         self.channels = Channels(period, self.batch, len(best))
+        self.motion = Motion(period, self.batch, len(best))
+        # of each channel the estimate that is least noisy; any: of what has none
+        order = np.argsort(noise, kind='stable')[::-1]
+        self._quietest = np.zeros(len(best), dtype=np.int64)
+        self._quietest[own[order][own[order] >= 0]] = order[own[order] >= 0]
+        # of each check the channels that have to move: its own, whose estimate does not read it;
+        # of a dedicated filter all that may be at fault, for it moves what reads it, but not its own
+        movers = [[channel] if channel >= 0 else np.flatnonzero(row & (best >= 0))
+                  for channel, row in zip(own, supports)]
+        most = max((len(row) for row in movers), default=1)
+        self._movers = np.array([np.resize(row, most) if len(row) else np.full(most, len(best))
+                                 for row in movers], dtype=np.int64).reshape(len(own), most)
         self._unseen = np.flatnonzero(best < 0) if (best < 0).any() else None
         self._told = None if (own >= 0).all() else own >= 0
         self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
@@ -66,6 +80,7 @@ class Watch:
             residuals -= np.where(np.isfinite(self._wraps), self._wraps, 0.0) * np.round(
                 residuals / self._wraps)
         shown, said = residuals.take(self.best, axis=1), estimates.take(self.best, axis=1)
+        self.motion.step(estimates.take(self._quietest, axis=1), learn_channels)
         if self._unseen is not None:
             shown[:, self._unseen] = said[:, self._unseen] = np.nan
         self.channels.step(readings, shown, said, learn_channels)
@@ -83,19 +98,31 @@ class Watch:
         above, below = self.detector.thresholds[[LASTING, len(WINDOWS) + LASTING], check]
         return len(past) > 0 and not -below <= float(np.median(past)) <= above
 
-    def _widened(self) -> Floats:
-        """Return by how much motion beyond what was learnt moves the thresholds (n,)."""
+    def _widened(self, due: int) -> Floats:
+        """
+        Return by how much motion beyond what was learnt moves the thresholds.
+
+        (n,), or of the first windows (due, 1, 2, n): level and contrast.
+        """
         channels, detector = self.channels, self.detector
-        motion = channels.beyond
-        if self._single is not None:
-            widened = motion[self._single] * self.gain
-        else:
-            widened = self.gains @ motion
+        widened = self._of_checks(channels.beyond)
         fresh = detector.learnt * detector.period < ENOUGH
         if fresh.any():
             span = np.nan_to_num(channels.range[1] - channels.range[0])
-            widened = widened + fresh * (self.gains @ span)
-        return self.model_error * widened
+            widened = widened + fresh * self._of_checks(span)
+        widened *= self.model_error
+        self.motion.look()
+        share = np.minimum(np.append(self.motion.beyond, 0.0), FARTHEST)[self._movers].min(axis=1)
+        if share.any():
+            most = self.model_error * self._of_checks(self.motion.range)
+            return widened + share * np.minimum(detector.width(due), most)
+        return widened
+
+    def _of_checks(self, motion: Floats) -> Floats:
+        """Return what motion of the channels (c,) is in the residuals (n,)."""
+        if self._single is not None:
+            return motion[self._single] * self.gain
+        return self.gains @ motion
 
     def running(self) -> Bools:
         """Tell which checks have been fed for a while (n,)."""
@@ -105,6 +132,7 @@ class Watch:
         """Forget all samples, not what was learnt."""
         self.detector.restart(np.arange(len(self.own)))
         self.channels.restart()
+        self.motion.restart()
 
     def centre(self, column: int) -> float:
         """Return the mean of a healthy residual."""
