@@ -9,7 +9,7 @@ from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 import yaml
 
-from benchmark.twin_rotor import command, FAULTY, faults, moved, PLANT, SAMPLE
+from benchmark.twin_rotor import command, faults, FAULTY, moved, PLANT, SAMPLE
 from vsensor_ros.designer.fault_design import fault_design
 from vsensor_ros.node.cdr import decode
 from vsensor_ros.plant import load_takagi_sugeno
