@@ -21,7 +21,7 @@ add_sentences({'model lost': 'the healthy sensors say {size:.2g} times what the 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExtendedBatch(Batch):
-    """V filters of one output: V that go on without their channels, then V that they track."""
+    """V filters of one output that go on without their channels, then those that track them."""
 
     filter: Filter
     model: Model
@@ -86,14 +86,14 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
         raise BadInput('', 'entries', 'of the kind extended have several models',
                        'design them together')
     healthy = np.array([[name in e.reads for name in sensors] for e in entries], dtype=bool)
-    tracked = [[name in e.reads or (name in e.fault_set and bool(model.C[i].any()))
-                for i, name in enumerate(sensors)] for e in entries]
-    reads = np.concatenate([healthy, np.array(tracked, dtype=bool)])
-    commands = np.array([[name in e.commands for name in design.inputs] for e in entries],
-                        dtype=bool).reshape(V, len(design.inputs))
-    needs = np.hstack([reads, np.vstack([commands, commands])])
-    filter_ = Filter(model, period, reads, np.concatenate([healthy, np.zeros_like(healthy)]),
-                     Cu is not None)
+    tracked = [tuple(name in e.reads or (name in e.fault_set and bool(model.C[i].any()))
+                     for i, name in enumerate(sensors)) for e in entries]
+    trackers = list(dict.fromkeys(tracked))  # while all is believed many are the same
+    reads = np.concatenate([healthy, np.array(trackers, dtype=bool)])
+    commands = np.array([name in entries[0].commands for name in design.inputs], dtype=bool)
+    needs = np.hstack([reads, np.tile(commands, (len(reads), 1))])
+    filter_ = Filter(model, period, reads, np.concatenate(
+        [healthy, np.zeros((len(trackers), len(sensors)), dtype=bool)]), Cu is not None)
     longest = design.sample_time or period
     warm_up = np.array([max(e.warm_up, longest) for e in entries])
     return ExtendedBatch(
@@ -104,8 +104,8 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
         slowest=np.array([min(1.0 / max(e.decay, 1e-9), e.ages[-1]) for e in entries]),
         warm_up=warm_up, proved=np.zeros(V, dtype=bool), wants_held=bool(model.Cu.any()),
         wants_ages=True,
-        tracked=tuple(Tracked(i, V + i, i, tuple(
-            j for j, name in enumerate(sensors) if name in e.fault_set and reads[V + i, j]),
+        tracked=tuple(Tracked(i, V + trackers.index(tracked[i]), i, tuple(
+            j for j, name in enumerate(sensors) if name in e.fault_set and tracked[i][j]),
             float(warm_up[i])) for i, e in enumerate(entries)),
         filter=filter_, model=model, ages=tuple(e.ages for e in entries),
         drifts=tuple(e.drift for e in entries))

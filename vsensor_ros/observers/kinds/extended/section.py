@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import Apply, function_of, parse, walk
 from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
+from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model, Tried
 
 _LARGEST = 1e75  # so that its square is a number
 _VECTORS = ('process_noise', 'input_noise', 'unknown_noise', 'noise', 'lasts', 'initial', 'start')
@@ -25,6 +26,7 @@ def write_section(entry: ExtendedSensor) -> dict[str, Any]:
         'ages': entry.ages.tolist(), 'drift': entry.drift.tolist(),
         'equations': list(m.equations), 'unknown': list(m.unknown),
         **({'why': entry.why} if entry.why else {}),
+        **({'tried': vars(entry.tried)} if entry.tried else {}),
         'parameters': [{'name': name, 'value': value, 'spread': spread} for name, value, spread
                        in zip(m.parameters, m.values.tolist(), m.spreads.tolist())],
         **{key: getattr(m, key).tolist() for key in (*_VECTORS, 'C', 'Cu')}}
@@ -34,7 +36,7 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                  version: int) -> ExtendedSensor:
     """Read what write_section wrote; raises BadInput."""
     reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
-                 'parameters', *_VECTORS, 'C', 'Cu', 'why'))
+                 'parameters', *_VECTORS, 'C', 'Cu', 'why', 'tried'))
     reads = reader.names('reads')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -79,7 +81,18 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('C', f'tells nothing of {channel}')
     return ExtendedSensor(channel, fault_set, reads, model, reader.size('decay'),
                           reader.size('warm_up'), ages, drift,
-                          reader.text('why') if 'why' in reader.record else '')
+                          reader.text('why') if 'why' in reader.record else '',
+                          _tried(reader) if 'tried' in reader.record else None)
+
+
+def _tried(reader: CheckedObject) -> Tried:
+    found = reader.object('tried')
+    found.only(tuple(field.name for field in fields(Tried)))
+    for share in ('within', 'lost', 'served'):
+        if not found.size(share) <= 1.0:
+            raise found.fail(share, 'is no share')
+    return Tried(found.whole('runs'), *(found.size(key) for key in (
+        'seconds', 'rmse', 'within', 'lost', 'served')))
 
 
 def check_equation(text: str, known: Sequence[str], where: object, key: str) -> None:

@@ -49,6 +49,18 @@ class Model:
             vars(self).values(), vars(other).values()))
 
 
+@dataclass(frozen=True)
+class Tried:
+    """What a filter did in runs over the declared ranges, with parameters off by their spreads."""
+
+    runs: int
+    seconds: float  # after the loss
+    rmse: float  # of what was served there [unit of the channel]
+    within: float  # share of it that was within two deviations
+    lost: float  # share of the runs in which it was withdrawn
+    served: float  # share of the time in the ranges
+
+
 @dataclass(frozen=True, eq=False)
 class ExtendedSensor:
     """A Kalman filter that says what a failed sensor would have said."""
@@ -67,6 +79,7 @@ class ExtendedSensor:
     ages: np.ndarray  # (T,) s after the loss of its channels, and then
     drift: np.ndarray  # (T,) its standard deviation at the operating point
     why: str = ''  # it stands there and no virtual sensor of which something is proved
+    tried: Tried | None = None  # by the designer
 
     @property
     def outputs(self) -> tuple[str, ...]:
