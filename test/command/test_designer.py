@@ -529,3 +529,41 @@ sensors: {y1: {measures: a}, y2: {measures: b}}
     text = ' '.join(answer(design(plant, [('y1',), ('y2',), ('y1', 'y2')]), plant=plant).split())
     assert text.count('cos(a + 0.375)') == 1 and text.count('term 1 (of a)') > 2
     assert 'dead beat (an error is down to 5 % in 2 s)' in text
+
+
+CART = """
+name: cart
+time: {sample_time: 0.05}
+states:
+  p: {unit: m, noise_bound: 0.002}
+  v: {unit: m/s, range: [-3, 3], noise_bound: 0.002}
+inputs: {push: {range: [-2, 2]}}
+sensors:
+  ruler: {measures: p, unit: m, noise_bound: 0.01}
+  tacho: {measures: v, unit: m/s, noise_bound: 0.01}
+premises: {p: [-2, 2]}
+submodels:
+  - {A: [[1, 0.05], [-0.1, 0.9]], B: [0, 0.05], membership: (2 - p)/4}
+  - {A: [[1, 0.05], [-0.02, 0.98]], B: [0, 0.05], membership: (2 + p)/4}
+"""
+
+
+def test_faults_of_a_plant_with_submodels_are_asked_for_by_name(tmp_path, capsys):
+    pytest.importorskip('cvxpy')
+    plant, path = tmp_path / 'cart.yaml', tmp_path / 'cart.design.json'
+    plant.write_text(CART)
+    assert main([str(plant), '--faulty', 'tacho', '-o', str(path)]) == 0
+    said, wrong = capsys.readouterr()
+    entry, = Design.load(path).virtual_sensors
+    assert not wrong and entry.outputs == ('tacho',) and entry.kind == 'fault_estimator'
+    assert f'tacho within {entry.half_widths[0]:.3g} m/s' in said
+    assert 'reads             ruler, push; of sensors that may be faulty nothing' in said
+    assert f'1 of 1 can be replaced; written to {path}' in said
+    path.unlink()
+    for arguments, line in ((['--faulty', 'speed'], "faulty: 'speed' is no sensor and no input"),
+                            ([], 'submodels: are for what estimates faults, or by hand')):
+        assert main([str(plant), *arguments, '-o', str(path)]) == 2
+        assert line in capsys.readouterr().err and not path.exists()
+    with pytest.raises(SystemExit):
+        main([str(plant), '--faulty', 'tacho', '--isolate', '-o', str(path)])
+    assert '--faulty stands alone with PLANT and -o' in capsys.readouterr().err

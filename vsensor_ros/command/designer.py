@@ -18,11 +18,12 @@ from vsensor_ros.control import check_loop, closed_loop, load_controller
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import chosen_sets, METHODS
+from vsensor_ros.designer.fault_design import fault_design
 from vsensor_ros.designer.filter_trial import with_trials
 from vsensor_ros.designer.location import locations
 from vsensor_ros.designer.processes import Processes
 from vsensor_ros.designer.unfinished import Unfinished
-from vsensor_ros.plant import load_plant, Plant
+from vsensor_ros.plant import load_plant, load_takagi_sugeno, Plant
 from vsensor_ros.report.design_answer import answer, closing
 from vsensor_ros.report.page import check_target, write_report
 
@@ -42,7 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     work = f'{options.output}{WORK}'
     try:
         _check_files(options)
-        said = _design(options, None if _is_special(options.output) else work)
+        said = _design(options, None if _is_special(options.output) else work) \
+            if options.faulty is None else _design_faults(options)
         _say(said)
     except BadInput as error:
         print(f'designer: {error}', file=sys.stderr)
@@ -96,6 +98,19 @@ def _design(options: argparse.Namespace, work: str | None) -> str:
             f'{written}')
 
 
+def _design_faults(options: argparse.Namespace) -> str:
+    """Design what estimates faults of a plant file with submodels, and return what is said."""
+    plant = load_takagi_sugeno(options.plant)
+    [names] = _fault_sets('--faulty', [options.faulty]) or [[]]
+    try:
+        result = fault_design(plant, names)
+    except ImportError as error:
+        what, mend = str(error).split(': ', 1)
+        raise BadInput('--faulty', '', what, mend) from error
+    result.save(options.output)
+    return f'{answer(result)}\n{closing(result)}; written to {options.output}'
+
+
 def _is_special(path: str) -> bool:
     """Tell whether an output is there and no file: a pipe, a device, a folder."""
     return os.path.exists(path) and not os.path.isfile(path)
@@ -129,6 +144,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                        'several times (default: every single sensor)')
     which.add_argument('--up-to', metavar='N', type=int,
                        help='every set of up to N sensors')
+    which.add_argument('--faulty', metavar='NAMES',
+                       help='sensors and inputs that may be faulty, all at once, with commas '
+                       'between: for a plant file with submodels; estimates their faults')
     parser.add_argument('--prefer', metavar='WHAT',
                         help='quiet: the least order whose noise is within a factor of two of the '
                         'best (default); least: the least order there is')
@@ -174,7 +192,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--details', metavar='SENSORS', action='append',
                         help='print what was found for this fault set (with commas between), or '
                         f"'all'; needed where there are more than {MOST_BLOCKS}")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.faulty is not None and any(
+            value != parser.get_default(name) for name, value in vars(options).items()
+            if name not in ('plant', 'output', 'faulty')):
+        parser.error('--faulty stands alone with PLANT and -o: leave the other options out')
+    return options
 
 
 def _jobs(text: str) -> int:

@@ -51,11 +51,11 @@ def fault_design(plant: TakagiSugeno, faulty: Sequence[str], alphas: Sequence[fl
     found = fault_observer(form, estimator(form, alphas, fixed_gains=fixed_gains), sensors,
                            inputs, *read)
     entries: dict[Key, Entry | Refusal] = {(sensors, name): found for name in found.outputs}
-    faults = found.outputs[len(sensors):]
-    units = {fault: unit for fault, name in zip(faults, inputs)
-             if (unit := plant.units.get(name)) is not None}
+    units = {FAULT + name: plant.units[name] for name in (*sensors, *inputs)
+             if name in plant.units}
     return Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-                  {**plant.units, **units}, plant.sample_time, entries, faults,
+                  {**plant.units, **units}, plant.sample_time, entries,
+                  tuple(FAULT + name for name in (*sensors, *inputs)),
                   np.zeros((len(plant.sensors), len(plant.inputs))))
 
 

@@ -23,6 +23,7 @@ from vsensor_ros.engine.decision import Source
 from vsensor_ros.engine.events import (
     Composition,
     Forward,
+    Functional,
     IsolationReport,
     Message,
     Remark,
@@ -428,6 +429,10 @@ class Engine:
     def reserves(self) -> list[Reserve]:
         """Return what could be said in place of each healthy sensor, at `state_time`."""
         return self._view.reserves(self._switch)
+
+    def functionals(self) -> list[Functional]:
+        """Return what is wanted besides sensors, at `state_time`; faults, too."""
+        return self._view.functionals(self._switch)
 
     def heard_any(self) -> bool:
         """Tell whether any sensor has spoken, since the clock went back."""

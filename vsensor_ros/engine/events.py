@@ -59,6 +59,16 @@ class Reserve(NamedTuple):
     ready: bool  # it would serve; else it is only looked at
 
 
+class Functional(NamedTuple):
+    """What is wanted besides sensors: a functional of the states, or a fault."""
+
+    name: str
+    value: float
+    deviation: float  # standard deviation; inf when not known
+    interval: tuple[float, float] | None  # in which the truth lies
+    ready: bool  # it has forgotten its start, and may be used
+
+
 class Composition(NamedTuple):
     """A message to be made of a template and sent; `Engine.done` wants to know how it went."""
 

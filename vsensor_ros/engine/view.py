@@ -16,12 +16,12 @@ from vsensor_ros.bank import Bank
 from vsensor_ros.engine.channel import Channel, NONE, REAL, VIRTUAL
 from vsensor_ros.engine.clock import Clock
 from vsensor_ros.engine.decision import Decision, Source
-from vsensor_ros.engine.events import Reserve
+from vsensor_ros.engine.events import Functional, Reserve
 from vsensor_ros.engine.stand_in import StandIn
 from vsensor_ros.engine.state import ChannelState
 from vsensor_ros.engine.stream import Stream
 from vsensor_ros.engine.switch import Switch
-from vsensor_ros.observers import Design, Refusal
+from vsensor_ros.observers import Design, FAULT, Refusal
 from vsensor_ros.reason import Reason
 
 Counts = Mapping[str, Mapping[Reason, int]]  # by channel
@@ -34,6 +34,11 @@ class View:
                  stand_in: StandIn) -> None:
         self._design, self._bank, self._clock = design, bank, clock
         self._streams, self._stand_in = streams, stand_in
+        # by what is wanted: the fault sets that it is designed for, the smallest first
+        self._wanted = {name: sorted((fault_set for (fault_set, channel), entry
+                                      in design.entries.items() if channel == name
+                                      and not isinstance(entry, Refusal)), key=len)
+                        for name in design.wanted}
 
     def sources(self, switch: Switch) -> list[tuple[str, int]]:
         """Return what the channels are, with the number of their switches."""
@@ -72,6 +77,42 @@ class View:
                 found.append(Reserve(name, reading, channel.as_said(said[0], near=reading),
                                      said[1], would.source is Source.VIRTUAL))
         return found
+
+    def functionals(self, switch: Switch) -> list[Functional]:
+        """Return what is wanted besides sensors, at the bank's time; faults, too."""
+        found = []
+        for name, sets in self._wanted.items():
+            channel = name.removeprefix(FAULT)
+            of_sensor = name != channel and channel in self._design.sensors
+            keys = switch.choice.candidates(switch.faulty | {channel}, channel) if of_sensor \
+                else [key for key in sets if switch.faulty <= frozenset(key)]
+            said = self._said(name, channel if of_sensor else name, keys, of_sensor)
+            found += [] if said is None else [said]
+        return found
+
+    def _said(self, name: str, channel: str, keys: Sequence[tuple[str, ...]],
+              fault: bool) -> Functional | None:
+        """
+        Return what the first of these who is ready says, else who runs; None: nobody does.
+
+        fault: not the channel, but by how much its last reading is off, believed or not.
+        """
+        running = [key for key in keys if self._bank.estimate(key, channel) is not None]
+        ready = next((key for key in running if self._bank.ready(key, channel)), None)
+        key = ready or next(iter(running), None)
+        value = None if key is None else self._bank.estimate(key, channel)
+        if key is None or value is None:
+            return None
+        interval = self._bank.interval(key, channel)
+        if fault:
+            size = self._bank.residual(key, channel)
+            if size is None:
+                return None
+            if interval is not None:
+                interval = size + value - interval[1], size + value - interval[0]
+            value = size
+        return Functional(name, value, self._bank.deviation(key, channel), interval,
+                          ready is not None)
 
     def channels(self, switch: Switch, isolated: Mapping[str, int],
                  blamed: Mapping[str, tuple[str, ...]], counts: Counts,

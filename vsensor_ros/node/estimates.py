@@ -2,7 +2,7 @@
 What the virtual sensors say, on ``~/estimates``, while somebody listens.
 
 Of a failed channel value, deviation and offset of each estimate that went out; of a healthy one
-its reading, and beside it what would have gone out.
+its reading, and beside it what would have gone out. And what is wanted besides sensors.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine import Reserve, Substitute
+from vsensor_ros.engine import Functional, Reserve, Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 
@@ -41,6 +41,11 @@ class Estimates:
         if reserves:
             self._publish(at, [_reserve(said) for said in reserves])
 
+    def send_functionals(self, at: int, functionals: Sequence[Functional]) -> None:
+        """Publish what is wanted besides sensors: functionals of the states, and faults."""
+        if functionals:
+            self._publish(at, [_functional(said) for said in functionals])
+
     def _publish(self, at: int, status: list[DiagnosticStatus]) -> None:
         message = DiagnosticArray(status=status)
         message.header.stamp = Time(sec=at // 10**9, nanosec=at % 10**9)
@@ -52,15 +57,22 @@ class Estimates:
 
 
 def _status(name: str, said: Substitute) -> DiagnosticStatus:
-    facts = {'value': said.value, 'deviation': said.deviation, 'offset': said.offset}
-    if said.interval is not None:
-        facts['low'], facts['high'] = said.interval
-    return _status_of(name, '', facts)
+    return _status_of(name, '', {'value': said.value, 'deviation': said.deviation,
+                                 'offset': said.offset, **_bounds(said.interval)})
 
 
 def _reserve(said: Reserve) -> DiagnosticStatus:
     return _status_of(said.name, 'reserve' if said.ready else 'reserve, not ready', {
         'reading': said.reading, 'reserve': said.estimate, 'reserve_deviation': said.deviation})
+
+
+def _functional(said: Functional) -> DiagnosticStatus:
+    return _status_of(said.name, '' if said.ready else 'not ready', {
+        'value': said.value, 'deviation': said.deviation, **_bounds(said.interval)})
+
+
+def _bounds(interval: tuple[float, float] | None) -> dict[str, float]:
+    return {} if interval is None else {'low': interval[0], 'high': interval[1]}
 
 
 def _status_of(name: str, message: str, facts: Mapping[str, float]) -> DiagnosticStatus:

@@ -235,11 +235,12 @@ class Replacer:
         self._show_reserves()
 
     def _show_reserves(self) -> None:
-        """Publish what could be said in place of the healthy sensors, if somebody listens."""
+        """Publish what could be said in place of healthy sensors, and what else is wanted."""
         time = self.engine.state_time
         if time is not None and time != self._shown and self.estimates.listeners():
             self._shown = time
             self.estimates.send_reserves(time, self.engine.reserves())
+            self.estimates.send_functionals(time, self.engine.functionals())
 
     def _tell(self) -> None:
         """Let people know what is new."""

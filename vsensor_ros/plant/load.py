@@ -39,6 +39,7 @@ from vsensor_ros.plant.entries import Entries, TABLE
 from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
+from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.split import (
     check_split,
     Split,
@@ -60,7 +61,12 @@ def load_plant(path: str | Path) -> Plant:
     file with `matrices` only when it is given), so that A is the linearisation there. The
     split is checked against the equations at random points. Raises BadInput, one line.
     """
-    file = Entries(path, _TOP)
+    content = read_yaml(path)
+    if isinstance(content, dict) and 'submodels' in content:
+        raise BadInput(path, 'submodels', 'are for what estimates faults, or by hand',
+                       'give dynamics or matrices; or ask with designer --faulty NAMES, or read '
+                       'it with load_takagi_sugeno')
+    file = Entries(path, _TOP, content)
     return replace(_plant(file), remake=_Again(path, file.content))
 
 

@@ -47,7 +47,7 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
         lines += ['', *_loop(loop, blocks, plant)]
     lines.append('')
     for (fault_set, channel), entry in result.entries.items():
-        if blocks is None or fault_set in blocks:
+        if (blocks is None or fault_set in blocks) and channel == entry.channel:
             lines += textwrap.wrap(
                 f'{design_text.title(result, fault_set, channel)}: {design_text.state_of(entry)}'
                 f'{design_text.left_out(entry)}', WIDTH, subsequent_indent='    ',
@@ -86,7 +86,7 @@ def _loop(loop: ClosedLoop, blocks: set[tuple[str, ...]] | None,
 
 def closing(result: Design) -> str:
     """Return how many can be replaced."""
-    grades = [v.grade for v in result.virtual_sensors]
+    grades = [e.grade for e in result.entries.values() if not isinstance(e, Refusal)]
     some = ''.join(f', {grades.count(grade)} of them {how} only' for grade, how in
                    (('bounded', 'within a bound'), ('temporary', 'for a time'),
                     ('filtered', 'without proof')) if grade in grades)

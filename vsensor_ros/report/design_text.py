@@ -16,6 +16,7 @@ from vsensor_ros.observers import (
     Design,
     Entry,
     ExtendedSensor,
+    FaultObserver,
     Refusal,
     Rung,
     ScheduledSensor,
@@ -310,7 +311,7 @@ def certified(entry: Entry) -> str:
     """Return the certificate in a word, for a table."""
     if entry.grade == 'temporary':
         return 'for a time only'
-    if isinstance(entry, ScheduledSensor):
+    if isinstance(entry, (ScheduledSensor, FaultObserver)):
         return 'over the ranges'
     if entry.certificate is None:
         linear = isinstance(entry, VirtualSensor) and not entry.active
@@ -331,12 +332,23 @@ def facts(entry: Entry, unit: str, units: Mapping[str, str]) -> list[tuple[str, 
         return [('order', f'{entry.order} (nothing proved of the least)'),
                 ('good', f'within {number(entry.half_width, unit)}, once its start is forgotten'),
                 ('decay', decay(entry)), ('reads', reads(entry)), ('found as', entry.method),
-                ('stability', f'one form of the error falls at all {len(entry.N)} submodels while '
-                 + ', '.join(_between((name, low, high), units) for name, (low, high) in zip(
-                     entry.premises, entry.ranges))), ('why scheduled', entry.why)]
+                ('stability', _one_form(entry, units)), ('why scheduled', entry.why)]
+    if isinstance(entry, FaultObserver):
+        within = ', '.join(f'{name} within {number(size, units.get(name, ""))}'
+                           for name, size in zip(entry.outputs, entry.half_widths))
+        return [('order', f'{entry.order}, with the faults'),
+                ('good', f'{within}, once its start is forgotten'), ('decay', decay(entry)),
+                ('reads', f'{reads(entry)}; of sensors that may be faulty nothing'),
+                ('found as', entry.method), ('stability', _one_form(entry, units))]
     return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
              ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
              ('grade', entry.grade), ('found as', entry.method)]
+
+
+def _one_form(entry: ScheduledSensor | FaultObserver, units: Mapping[str, str]) -> str:
+    return f'one form of the error falls at all {len(entry.N)} submodels while ' + ', '.join(
+        _between((name, low, high), units)
+        for name, (low, high) in zip(entry.premises, entry.ranges))
 
 
 def tried(entry: ExtendedSensor, unit: str) -> str:
