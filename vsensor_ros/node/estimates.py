@@ -2,7 +2,7 @@
 What the virtual sensors say, on ``~/estimates``, while somebody listens.
 
 Of a failed channel value, deviation and offset of each estimate that went out; of a healthy one
-its reading, and beside it what would have gone out.
+its reading, and beside it what would have gone out. And how large each fault is.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine import Reserve, Substitute
+from vsensor_ros.engine import Reserve, SizeNow, Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 
@@ -41,6 +41,11 @@ class Estimates:
         if reserves:
             self._publish(at, [_reserve(said) for said in reserves])
 
+    def send_sizes(self, at: int, sizes: Sequence[SizeNow]) -> None:
+        """Publish how large the faults of sensors and commands are."""
+        if sizes:
+            self._publish(at, [_size(said) for said in sizes])
+
     def _publish(self, at: int, status: list[DiagnosticStatus]) -> None:
         message = DiagnosticArray(status=status)
         message.header.stamp = Time(sec=at // 10**9, nanosec=at % 10**9)
@@ -61,6 +66,12 @@ def _status(name: str, said: Substitute) -> DiagnosticStatus:
 def _reserve(said: Reserve) -> DiagnosticStatus:
     return _status_of(said.name, 'reserve' if said.ready else 'reserve, not ready', {
         'reading': said.reading, 'reserve': said.estimate, 'reserve_deviation': said.deviation})
+
+
+def _size(said: SizeNow) -> DiagnosticStatus:
+    why = f'misled by {", ".join(said.misled_by)}, faulty' if said.misled_by else said.method
+    return _status_of(f'fault.{said.name}', why, {
+        'value': said.value, 'deviation': said.deviation})
 
 
 def _status_of(name: str, message: str, facts: Mapping[str, float]) -> DiagnosticStatus:

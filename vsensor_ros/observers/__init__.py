@@ -6,6 +6,7 @@ A new kind is a file in ``kinds/`` and a line here, so that it is known wherever
 
 from vsensor_ros.observers.design import Design
 from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.fault_size import FaultSize, FaultSizes, Injection
 from vsensor_ros.observers.isolability import (
     Distinction,
     Isolability,
@@ -40,7 +41,7 @@ register(FUNCTIONAL)
 register(EXTENDED)
 
 __all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
-           'Distinction', 'Entry', 'ExtendedSensor', 'Isolability', 'Key', 'Kind', 'Limit',
+           'Distinction', 'Entry', 'ExtendedSensor', 'FaultSize', 'FaultSizes', 'Injection', 'Isolability', 'Key', 'Kind', 'Limit',
            'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'StepOfSome',
            'Told', 'Tracked', 'Tracking', 'VirtualSensor', 'deviation_after', 'horizon',
            'kind_named', 'kind_names', 'register', 'settling_time']
