@@ -35,8 +35,8 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
 RESPONSE = 0.3  # of the plant's mean time constant: until 63 % of a step is told
-PLAIN = 20.0  # standard deviations of a random walk: a fault that is plain to see
-OUTWEIGHS = 1e3  # standard deviations of a random walk that an injection outweighs where no range is known
+PLAIN = 20.0  # standard deviations by a random walk: a fault that is plain to see
+OUTWEIGHS = 1e3  # of them: what an injection outweighs where no range is known
 FEWEST = 3  # steps of a sampled plant, or readings, in a response
 
 

@@ -68,7 +68,8 @@ class Sliding:
         of, k = self.injection, len(A)
         rates = plain / response * np.geomspace(0.1, 30.0, 60)
         size, step = super_twisting(of, h, rates)
-        state, e, told = np.zeros((len(rates), size)), np.zeros(k), np.zeros(len(rates))
+        state: np.ndarray = np.zeros((len(rates), size))
+        e, told = np.zeros(k), np.zeros(len(rates))
         held = expm(np.block([[of.N, of.f[:, None]], [np.zeros((1, k + 1))]]) * h)[:-1, -1]
         for _ in range(round(response / h)):
             e = A @ e + held * plain
@@ -100,8 +101,8 @@ class Sliding:
         N, k = self.injection.N, len(self.injection.N)
         moved = expm(np.block([[-N, drive @ drive.T], [np.zeros((k, k)), N.T]]) * h)  # Van Loan
         A = moved[k:, k:].T
-        W = A @ moved[:k, k:]
-        return h, A, (W + W.T) / 2.0, float(self.reading * np.sqrt(self.interval / h))
+        P = A @ moved[:k, k:]
+        return h, A, (P + P.T) / 2.0, float(self.reading * np.sqrt(self.interval / h))
 
 
 def sliding(plant: Plant, channel: str, largest: float) -> Sliding | Reason:
@@ -156,7 +157,7 @@ def _gain(found: Checks, noise: NoiseModel, f: np.ndarray, p: np.ndarray) -> np.
     # rows that take w out of e, and nothing of f
     Y = np.linalg.pinv(T) @ (np.eye(known.order) - np.outer(f, c))
     A, E = Y @ known.A @ T, known.E @ T
-    L = np.zeros((known.order, len(known.E)))
+    L: np.ndarray = np.zeros((known.order, len(known.E)))
     if len(A):
         hidden = unobservable(A, E)
         zeros, stay = lasting(hidden.T @ A @ hidden, None, known.speed)

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from vsensor_ros.designer.exact import verdict
 from vsensor_ros.designer.existence import examine
 from vsensor_ros.designer.invariant_spaces import filter_candidate
-from vsensor_ros.designer.isolability import checks, Checks
+from vsensor_ros.designer.isolability import Checks, checks
 from vsensor_ros.designer.noise import Filter, kalman, noise_model, NoiseModel
 from vsensor_ros.designer.observer import build
 from vsensor_ros.designer.problem import pose, Problem

@@ -83,9 +83,7 @@ class _Follower:
             self.restart()
         elif self._step is not None:
             self._inject(estimate)
-        elif self.size.method == WALK:
-            self.value = self._shortest(estimate)
-        elif math.isnan(self.value):
+        elif self.size.method == WALK or math.isnan(self.value):
             self.value = self._shortest(estimate)
         else:
             self.value += self._pull * self._shortest(estimate - self.value)

@@ -41,7 +41,8 @@ register(FUNCTIONAL)
 register(EXTENDED)
 
 __all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
-           'Distinction', 'Entry', 'ExtendedSensor', 'FaultSize', 'FaultSizes', 'Injection', 'Isolability', 'Key', 'Kind', 'Limit',
-           'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'StepOfSome',
-           'Told', 'Tracked', 'Tracking', 'VirtualSensor', 'deviation_after', 'horizon',
-           'kind_named', 'kind_names', 'register', 'settling_time']
+           'Distinction', 'Entry', 'ExtendedSensor', 'FaultSize', 'FaultSizes', 'Injection',
+           'Isolability', 'Key', 'Kind', 'Limit', 'Model', 'Noise', 'OrderStep', 'Proof',
+           'Refusal', 'Residual', 'Rung', 'StepOfSome', 'Told', 'Tracked', 'Tracking',
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
+           'settling_time']
