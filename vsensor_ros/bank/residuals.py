@@ -16,7 +16,7 @@ import numpy as np
 
 from vsensor_ros.bank.commands import End
 from vsensor_ros.bank.steps import Steps
-from vsensor_ros.observers import Design, Residual
+from vsensor_ros.observers import Design, FaultSize, Residual
 
 FIRST = 10_000_000_000  # ns that a sensor may take to speak for the first time
 LONGEST = 60.0  # s after which an observer has forgotten its start, if that is not known
@@ -25,7 +25,7 @@ LONGEST = 60.0  # s after which an observer has forgotten its start, if that is 
 class Residuals(Steps):
     """Readings and estimates of the residuals of a design, at each time of a grid."""
 
-    def __init__(self, design: Design, residuals: Sequence[Residual], rate: float,
+    def __init__(self, design: Design, residuals: Sequence[Residual | FaultSize], rate: float,
                  max_age: Mapping[str, float], jump_ahead: float | None = None,
                  command_ends: Mapping[str, End] = MappingProxyType({})) -> None:
         """

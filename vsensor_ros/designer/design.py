@@ -27,6 +27,7 @@ from vsensor_ros.designer.existence import (
     measured_signs,
 )
 from vsensor_ros.designer.extended import extended as filtered
+from vsensor_ros.designer.fault_size import sized
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.noise import usual_decay
 from vsensor_ros.designer.order_noise import doubtful, search_orders
@@ -92,10 +93,11 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     ``extended``: where that is not proved either, and the plant states how far off its parameters
     may be, hand out a Kalman filter on the equations, of grade 'filtered'. ``spread``: how far off
     those parameters are of which the plant says nothing, one standard deviation, as a share of
-    their values. ``isolate``: design, too, what tells whose fault it is, see
-    ``Design.isolability``. ``progress`` is told what is done, of how many, and what is next.
-    ``executor``: who does the work, with the same result (`designer/sweep.py`). ``work_file``:
-    answers are kept there as they come, and those that it holds are not sought again. Raises
+    their values. ``isolate``: design, too, what tells whose fault it is and how large, see
+    ``Design.isolability`` and ``Design.fault_sizes``. ``progress`` is told what is done, of how
+    many, and what is next. ``executor``: who does the work, with the same result
+    (`designer/sweep.py`). ``work_file``: answers are kept there as they come, and those that it
+    holds are not sought again. Raises
     BadInput for what is not a name of a sensor or a choice, Unfinished when some channels met an
     error or a worker that died. Source: method, section 3.
     """
@@ -113,8 +115,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
         asked = plain(fault_sets, up_to=up_to, wanted=wanted, work_file=work_file)
         with calmly():
             # the work file tells whose functionals it holds, and pairs have none
-            return isolated(plant, asked, partial(
-                plain, work_file=None if wanted else work_file), progress)
+            return sized(plant, isolated(plant, asked, partial(
+                plain, work_file=None if wanted else work_file), progress), progress)
     functionals = _functionals(plant, wanted)
     sets = chosen_sets(plant, fault_sets, up_to, bool(functionals))
     keys = [(fault_set, channel) for fault_set in sets for channel in (*fault_set, *functionals)]

@@ -241,6 +241,27 @@ SENTENCES: dict[str, Callable[..., str]] = {
         f'what {channel} depends on has no range: declare where the states and inputs live'),
     'as wide as the range': lambda half_width, range: (
         f'they would be within {half_width:.3g}, and the channel lies in a range of {range:.3g}'),
+    'size, only its onset': lambda: (
+        'a constant fault of it fades from all that the sensors say: only its onset shows'),
+    'size, not seen': lambda names: 'nothing that the sensors say feels a fault of it' + (
+        f', {listed(names)} set aside' if names else ''),
+    'size, a command': lambda: 'no sensor says what a command does',
+    'size, not designed': lambda: 'its loss alone was not asked for',
+    'size, not exact': lambda grade: f'the virtual sensor of it is {grade}',
+    'sliding, sampled': lambda: 'a sliding mode is of continuous time',
+    'sliding, reads it': lambda channel: (
+        f'every residual feels {channel} directly: no motion can be held at zero'),
+    'sliding, nothing checks': lambda names: (
+        'nothing is checked' + (f' that {listed(names)} does not disturb' if len(names) == 1 else
+                                f' that {listed(names)} do not disturb' if names else '')),
+    'sliding, not in the derivative': lambda channel: (
+        f'the fault of {channel} is not in the derivative of any residual'),
+    'sliding, zero stays': lambda rate: (
+        f'held at zero, the residuals hide a motion that does not die out (zero at {rate:.3g} '
+        '1/s)'),
+    'size, too slow': lambda: 'no gain follows a step as fast',
+    'size, no filter': lambda: 'no filter passed its checks',
+
     'premise not read': lambda names: (
         f'no healthy sensor reads {listed(names)}, of which the submodels depend'),
     'not of the states': lambda channel: (

@@ -15,6 +15,7 @@ from vsensor_ros.engine.events import (
     Substitute,
     together,
 )
+from vsensor_ros.engine.fault_sizes import SizeNow
 from vsensor_ros.engine.own_isolator import Learnt, SOURCE
 from vsensor_ros.engine.policy import Policy
 from vsensor_ros.engine.settings import Live, Setup, StreamPlan
@@ -41,6 +42,7 @@ __all__ = [
     'Remark',
     'Reserve',
     'Setup',
+    'SizeNow',
     'Source',
     'StreamPlan',
     'Substitute',

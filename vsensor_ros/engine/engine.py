@@ -31,6 +31,7 @@ from vsensor_ros.engine.events import (
     together,
     Token,
 )
+from vsensor_ros.engine.fault_sizes import SizeNow
 from vsensor_ros.engine.intake import Intake
 from vsensor_ros.engine.own_isolator import Learnt, NOBODY, OwnIsolator, SOURCE
 from vsensor_ros.engine.settings import Live, Setup
@@ -384,6 +385,12 @@ class Engine:
     def verdict(self) -> Verdict | None:
         """What the engine's own isolator says; None: there is none."""
         return None if self._own is None else self._own.verdict
+
+    def fault_sizes(self) -> tuple[int, list[SizeNow]]:
+        """Return how large each fault is, and of which time; 0: nothing is known."""
+        sizes = None if self._own is None else self._own.sizes
+        return (0, []) if sizes is None or sizes.time is None else (
+            sizes.time, sizes.now(self._switch.faulty))
 
     def learnt(self) -> Learnt | None:
         """Return what the engine's own isolator has learnt, to be saved; None: there is none."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import Residuals
 from vsensor_ros.engine.events import IsolationReport
+from vsensor_ros.engine.fault_sizes import Sizes
 from vsensor_ros.engine.settings import Setup
 from vsensor_ros.isolator import Isolator, load, save, Verdict
 from vsensor_ros.reason import Reason
@@ -49,8 +50,11 @@ class OwnIsolator:
                            'set it to off, or add a sensor: designer --isolate --locate')
         self.acts = settings.mode == 'act'
         turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
-        self._residuals = Residuals(design.isolating(), found.residuals, setup.rate,
+        sizes = () if design.fault_sizes is None else design.fault_sizes.found
+        self._residuals = Residuals(design.isolating(), (*found.residuals, *sizes), setup.rate,
                                     setup.max_age, setup.jump_ahead, setup.command_ends)
+        self._count = len(found.residuals)
+        self.sizes = Sizes(sizes, design.sensors, self._residuals.period * 1e-9, turns)
         self._isolator = Isolator(settings, design.sensors, found.residuals,
                                   self._residuals.period * 1e-9, turns, design.units)
         self._batch = self._isolator.watch.batch
@@ -68,12 +72,14 @@ class OwnIsolator:
     def restart(self) -> None:
         """Forget what came in, after the clock jumped; what was learnt and found stays."""
         self._residuals.reset()
+        self.sizes.restart()
 
     def step(self, now: int) -> bool:
         """Judge what is complete by now; tell whether the verdict says something else."""
         blamed = self.verdict.faulty
         for time, readings, estimates in self._residuals.at_least(self._batch, now):
-            self.verdict = self._isolator.step(time, readings, estimates)
+            self.verdict = self._isolator.step(time, readings, estimates[:self._count])
+            self.sizes.step(time, readings, estimates[self._count:])
         self._forgive(blamed)
         return self._changed()
 

@@ -2,7 +2,8 @@
 What the virtual sensors say, on ``~/estimates``, while somebody listens.
 
 Of a failed channel value, deviation and offset of each estimate that went out; of a healthy one
-its reading, and beside it what would have gone out. And what is wanted besides sensors.
+its reading, and beside it what would have gone out. And what is wanted besides sensors, and how
+large each fault is.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine import Functional, Reserve, Substitute
+from vsensor_ros.engine import Functional, Reserve, SizeNow, Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 
@@ -46,6 +47,11 @@ class Estimates:
         if functionals:
             self._publish(at, [_functional(said) for said in functionals])
 
+    def send_sizes(self, at: int, sizes: Sequence[SizeNow]) -> None:
+        """Publish how large the faults of sensors and commands are."""
+        if sizes:
+            self._publish(at, [_size(said) for said in sizes])
+
     def _publish(self, at: int, status: list[DiagnosticStatus]) -> None:
         message = DiagnosticArray(status=status)
         message.header.stamp = Time(sec=at // 10**9, nanosec=at % 10**9)
@@ -73,6 +79,12 @@ def _functional(said: Functional) -> DiagnosticStatus:
 
 def _bounds(interval: tuple[float, float] | None) -> dict[str, float]:
     return {} if interval is None else {'low': interval[0], 'high': interval[1]}
+
+
+def _size(said: SizeNow) -> DiagnosticStatus:
+    why = f'misled by {", ".join(said.misled_by)}, faulty' if said.misled_by else said.method
+    return _status_of(f'fault.{said.name}', why, {
+        'value': said.value, 'deviation': said.deviation})
 
 
 def _status_of(name: str, message: str, facts: Mapping[str, float]) -> DiagnosticStatus:

@@ -84,6 +84,7 @@ class Replacer:
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
         self._shown = 0  # time of the reserves that were published last
+        self._sized = 0  # likewise of the sizes of faults
         takers: list[tuple[Subscription, Callable[[], int]]] = [
             (s, self._take_isolation) for s in self.reports.subscriptions]
         hearing = hear(node, group, self.topics, settings.commands, self.engine, self.log)
@@ -233,6 +234,7 @@ class Replacer:
                 self._sending = None
             self.pace.end()
         self._show_reserves()
+        self._show_sizes()
 
     def _show_reserves(self) -> None:
         """Publish what could be said in place of healthy sensors, and what else is wanted."""
@@ -241,6 +243,15 @@ class Replacer:
             self._shown = time
             self.estimates.send_reserves(time, self.engine.reserves())
             self.estimates.send_functionals(time, self.engine.functionals())
+
+    def _show_sizes(self) -> None:
+        """Publish how large each fault is, if somebody listens."""
+        if self.settings.design.fault_sizes is None or not self.estimates.listeners():
+            return
+        time, sizes = self.engine.fault_sizes()
+        if time not in (0, self._sized):
+            self._sized = time
+            self.estimates.send_sizes(time, sizes)
 
     def _tell(self) -> None:
         """Let people know what is new."""

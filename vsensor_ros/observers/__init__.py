@@ -6,6 +6,7 @@ A new kind is a file in ``kinds/`` and a line here, so that it is known wherever
 
 from vsensor_ros.observers.design import Design
 from vsensor_ros.observers.entry import Entry, FAULT, Key, Refusal
+from vsensor_ros.observers.fault_size import FaultSize, FaultSizes, Injection
 from vsensor_ros.observers.isolability import (
     Distinction,
     Isolability,
@@ -44,8 +45,8 @@ register(TAKAGI_SUGENO)
 register(FAULT_ESTIMATOR)
 
 __all__ = ['FAULT', 'NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate',
-           'Design', 'Distinction', 'Entry', 'ExtendedSensor', 'FaultObserver', 'Isolability',
-           'Key', 'Kind', 'Limit', 'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual',
-           'Rung', 'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'Tried',
-           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
-           'settling_time']
+           'Design', 'Distinction', 'Entry', 'ExtendedSensor', 'FaultObserver', 'FaultSize',
+           'FaultSizes', 'Injection', 'Isolability', 'Key', 'Kind', 'Limit', 'Model', 'Noise',
+           'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'ScheduledSensor', 'StepOfSome',
+           'Told', 'Tracked', 'Tracking', 'Tried', 'VirtualSensor', 'deviation_after', 'horizon',
+           'kind_named', 'kind_names', 'register', 'settling_time']

@@ -9,6 +9,7 @@ import numpy as np
 
 from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.entry import Entry, Key, Refusal
+from vsensor_ros.observers.fault_size import FaultSizes
 from vsensor_ros.observers.isolability import Isolability
 
 
@@ -39,6 +40,7 @@ class Contents:
     # [s] by command: when it acts after it was given; by sensor: what it says is so old
     delays: Mapping[str, float] = field(default_factory=dict)
     isolability: Isolability | None = None  # None: it was not asked for
+    fault_sizes: FaultSizes | None = None  # likewise
 
     def __post_init__(self) -> None:
         if self.Cu is not None:

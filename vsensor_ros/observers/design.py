@@ -59,17 +59,20 @@ class Design(Contents):
 
     def isolating(self) -> Design:
         """
-        Return the observers of the residuals as a design of their own, to be run for isolation.
+        Return the observers of residuals and fault sizes as a design, to be run for isolation.
 
-        Dedicated filters are wanted functionals there: what they estimate is their residual.
+        Dedicated filters, and what is there for a size only, are wanted functionals there: what
+        they estimate is their residual, or the size.
         """
-        if self.isolability is None:
-            return Design(**{**vars(self), 'entries': {}, 'wanted': ()})
-        filters = self.isolability.filters
+        filters = {} if self.isolability is None else dict(self.isolability.filters)
+        residuals = () if self.isolability is None else self.isolability.residuals
+        sizes = () if self.fault_sizes is None else self.fault_sizes.found
         entries = {(r.fault_set, r.channel): filters.get(r.channel)
-                   or self.entries[r.fault_set, r.channel] for r in self.isolability.residuals}
-        return Design(**{**vars(self), 'entries': entries, 'wanted': tuple(filters),
-                         'isolability': None})
+                   or self.entries[r.fault_set, r.channel] for r in residuals}
+        entries |= {(size.fault_set, size.channel): size.observer for size in sizes}
+        wanted = (*filters, *(s.channel for s in sizes if s.channel not in self.sensors))
+        return Design(**{**vars(self), 'entries': entries, 'wanted': wanted,
+                         'isolability': None, 'fault_sizes': None})
 
     def save(self, path: str | Path) -> None:
         """

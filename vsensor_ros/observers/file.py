@@ -19,6 +19,7 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.observers.checked_json import CheckedObject, MEND, read_json
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.entry import Entry, FAULT, Key, Refusal
+from vsensor_ros.observers.fault_size_section import fault_sizes_record, read_fault_sizes
 from vsensor_ros.observers.isolability_section import isolability_record, read_isolability
 from vsensor_ros.observers.kinds import kind_named, kind_names
 from vsensor_ros.text_file import looked_in
@@ -92,6 +93,8 @@ def _to_record(design: Contents) -> dict[str, Any]:
         'entries': [entry_record(entry) for entry in design.each_once()],
         **({} if design.isolability is None
            else {'isolability': isolability_record(design.isolability)}),
+        **({} if design.fault_sizes is None
+           else {'fault_sizes': fault_sizes_record(design.fault_sizes)}),
     }
 
 
@@ -112,7 +115,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
         mend = 'update vsensor_ros' if version > VERSION else MEND
         raise top.fail('version', f'is {str(version):.20}; this vsensor_ros reads {OLDEST} to '
                        f'{VERSION}', mend)
-    top.only(('format', 'version', 'plant', 'wanted', 'entries', 'isolability'))
+    top.only(('format', 'version', 'plant', 'wanted', 'entries', 'isolability', 'fault_sizes'))
     plant = top.object('plant')
     plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
                 'tolerances', 'ranges', 'wrap', 'curves', 'delays'))
@@ -137,10 +140,13 @@ def _from_record(record: Any, path: str | Path) -> Contents:
             if (entry.fault_set, output) in entries:
                 raise reader.fail('channel', f'{output} stands there twice for this fault set')
             entries[entry.fault_set, output] = entry
-    if 'isolability' not in top.record:
-        return design
-    return replace(design, isolability=read_isolability(top.object('isolability'), design,
-                                                        version))
+    if 'isolability' in top.record:
+        design = replace(design, isolability=read_isolability(
+            top.object('isolability'), design, version))
+    if 'fault_sizes' in top.record:
+        design = replace(design, fault_sizes=read_fault_sizes(
+            top.object('fault_sizes'), design, version))
+    return design
 
 
 def _read_wanted(top: CheckedObject, known: tuple[str, ...],

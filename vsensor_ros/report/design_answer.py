@@ -7,9 +7,22 @@ import textwrap
 
 from vsensor_ros.control import ClosedLoop
 from vsensor_ros.designer.location import Location
-from vsensor_ros.observers import Design, Entry, Isolability, Refusal, VirtualSensor
+from vsensor_ros.observers import (
+    Design,
+    Entry,
+    FaultSizes,
+    Isolability,
+    Refusal,
+    VirtualSensor,
+)
 from vsensor_ros.plant import Plant
-from vsensor_ros.report import design_text, for_a_time, isolability_text, loop_text
+from vsensor_ros.report import (
+    design_text,
+    fault_size_text,
+    for_a_time,
+    isolability_text,
+    loop_text,
+)
 
 MOST_PLACES = 8  # for a new sensor
 MOST_GAPS = 12  # of what cannot be told apart
@@ -43,6 +56,8 @@ def answer(result: Design, blocks: set[tuple[str, ...]] | None = None,
         lines += ['', 'With one more sensor', *_places(places, plant)]
     if result.isolability is not None:
         lines += ['', *_isolated(result.isolability, result.sensors)]
+    if result.fault_sizes is not None:
+        lines += ['', *_sized(result.fault_sizes, result)]
     if loop is not None:
         lines += ['', *_loop(loop, blocks, plant)]
     lines.append('')
@@ -112,6 +127,18 @@ def _isolated(found: Isolability, sensors: Sequence[str]) -> list[str]:
         lines += _hanging('-', gap, 2)
     if len(found.gaps) > MOST_GAPS:
         lines.append(f'    - and {len(found.gaps) - MOST_GAPS} more, which are in the report')
+    return lines
+
+
+def _sized(sizes: FaultSizes, result: Design) -> list[str]:
+    """Return by which method the size of each fault is told, and what else there is."""
+    rows = fault_size_text.rows(sizes, result.units)
+    width = max(len(name) for name, _, _ in rows) + 2
+    lines = [f'{fault_size_text.HEAD}, if it is the only one']
+    for name, taken, others in rows:
+        lines += _hanging(name, taken, width)
+        if others:
+            lines += _hanging('', f'({"; ".join(others)})', width)
     return lines
 
 

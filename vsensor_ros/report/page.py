@@ -23,6 +23,7 @@ from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import measures_node
 from vsensor_ros.report import (
     design_text,
+    fault_size_text,
     for_a_time,
     isolability_text,
     loop_text,
@@ -118,7 +119,7 @@ def page(plant: Plant, design: Design, locations: Sequence[Location] | None = No
     name = escape(design.plant_name)
     parts = [*_headlines(loop), _summary(design), _minded((*plant.remarks, *advice)),
              _plant(plant), _losses(design), _overview(design), _isolability(design),
-             _loop(plant, loop), _places(plant, design, locations),
+             _sizes(design), _loop(plant, loop), _places(plant, design, locations),
              _entries(plant, design, progress), _terms(plant, design), _reading()]
     return ('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
@@ -318,6 +319,15 @@ def _isolability(design: Design) -> str:
     return ''.join(parts) + _table(
         rows_, ('residual', 'feels (what a constant fault of 1 makes of it)', 'noise',
                 'threshold to begin with'), (2, 3))
+
+
+def _sizes(design: Design) -> str:
+    if design.fault_sizes is None:
+        return ''
+    rows = [(escape(name), escape(taken), '<br>'.join(map(escape, others)))
+            for name, taken, others in fault_size_text.rows(design.fault_sizes, design.units)]
+    return (f'<h2>{fault_size_text.HEAD}</h2><p>If it is the only one.</p>' + _table(
+        rows, ('fault of', 'is told by', 'what else there is, for the same response')))
 
 
 def _places(plant: Plant, design: Design, locations: Sequence[Location] | None) -> str:
