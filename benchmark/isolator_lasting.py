@@ -120,7 +120,8 @@ def back(learnt: Watched, kind: str, sizes: tuple[float, float], random: np.rand
                 found[m] |= said and now < ends
         if ends == np.inf:
             parts.append(f'{kind} {sizes[0]:g} to {sizes[1]:g}: found {found.sum()} of {count}, '
-                         f'believed while faulty {100 * np.mean(early[found]):.1f} %, withdrawn {withdrawn.sum()}')
+                         f'believed while faulty {100 * np.mean(early[found]):.1f} %, '
+                         f'withdrawn {withdrawn.sum()}')
         else:
             came = found & ~early
             parts.append(f'came back {came.sum()}, believed {100 * np.mean(believed[came]):.0f} %'
