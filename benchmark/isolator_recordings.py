@@ -137,7 +137,7 @@ class Board:
 
 
 def biases(board: Board, trials: int, seed: int = 1001) -> tuple[list[float], int]:
-    """Let one sensor err by 2 to 5 degC; return delays [s] until both are candidates, and blames."""
+    """Let one sensor err by 2 to 5 degC; return delays [s] until it is suspected, and blames."""
     random, delays, blamed = np.random.default_rng(seed), [], 0
     board = deepcopy(board)
     starts = np.sort(random.integers(board.half + 60, len(board.values) - WATCHED, trials))

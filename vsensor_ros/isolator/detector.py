@@ -102,7 +102,7 @@ class Detector:
         due = self._due[self._count % len(self._due)]
         shown = self._tests(due, middle)
         np.divide(total, self.batch, out=self._before)
-        if np.minimum.reduce(self.filled, initial=SPAN) < 5 * self._full[due - 1]:
+        if np.count_nonzero(self.filled < 5 * self._full[due - 1]):
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
                 np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
         self._learn(shown, due, learn)

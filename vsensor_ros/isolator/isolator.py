@@ -64,7 +64,7 @@ class Isolator:
         _check(sensors, residuals, settings)
         self.settings, self.sensors, self.period = settings, tuple(sensors), period
         self.residuals = tuple(residuals)
-        self._units = units
+        self._units = dict(units)
         own = [self.sensors.index(r.channel) if r.channel in self.sensors else -1
                for r in residuals]
         gains = np.zeros((len(own), len(sensors)))
