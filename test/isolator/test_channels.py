@@ -86,3 +86,11 @@ def test_motion_beyond_what_was_learnt_is_measured_and_forgotten_again():
     assert channels.beyond[0] == pytest.approx(2.0, rel=0.3)
     feed(channels, wave, learn=False)
     assert channels.beyond[0] < 0.1
+
+
+def test_how_long_a_channel_rests_is_not_known_before_it_has_rested_some_times():
+    channels = Channels(PERIOD, 4, 1)
+    steps = np.repeat([0.0, 1.0, 0.0, 1.0], 800)  # as a sensor of a gate says
+    assert feed(channels, steps, steps)[0] == []
+    late = np.where(np.arange(3200) < 2800, 1.0, 0.4)
+    assert feed(channels, np.ones(3200), late, learn=False)[0] == []

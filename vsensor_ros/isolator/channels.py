@@ -15,6 +15,7 @@ from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
 FEWEST_REPEATS = 5
+FEWEST_RUNS = 10  # of repeats, before which it is not known how long a quiet channel rests
 KNOWN = 1000  # samples, before which the habits of a channel are not known
 MISSING = 0.2  # s without a reading, at least, before a channel has dropped out
 ROUGH = 64  # samples of the window of roughness
@@ -28,18 +29,31 @@ PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
 AFTER = 5.0  # s after a spike in which a channel counts as spiking
 FAR = 2**40  # samples
+NEARLY = 1.0 - 1e-9  # sums differ by their order
 PART = 0.1  # of the range that an estimate must move beside a quiet channel that is stuck
 
 Bools = NDArray[np.bool_]
+Counts = NDArray[np.int64]
+
+
+def _slopes(kept: Floats, new: Floats) -> Floats:
+    """Put samples behind the last two that were kept; return their differences."""
+    kept[:2] = kept[-2:]
+    kept[2:] = new
+    return kept[1:] - kept[:-1]
 
 
 class Channels:
     """Any number of channels c, a batch of samples at a time."""
 
     range: Floats
+    run: Counts
+    gap: Counts
     _last: Floats
     _from: Floats
     _moved: Floats
+    _reach: Floats
+    _beyond: Floats
     _needed: Floats
     _cap: Floats
     _roughest: Floats
@@ -60,11 +74,11 @@ class Channels:
         self._reach = np.full((2, count), np.nan)
         self._needed, self._cap, self._roughest, self._spike = (
             np.full(count, np.inf) for _ in range(4))
-        self._count = 0
+        self._count = 0  # batches
+        self.spiked = False  # whether any did in the last batch
         self._fades = np.exp(-batch * period / PEAK)
-        # of the block that runs: bends, distances from the median, and extremes of each batch
-        self._bends, self._apart = (np.empty((BLOCK, count)) for _ in range(2))
-        self._extremes = np.empty((BLOCK // batch, 2, count))
+        # of the block that runs: medians of three, distances from them, and bends
+        self._middle, self._apart, self._bends = (np.empty((BLOCK, count)) for _ in range(3))
         self.restart()
 
     def restart(self) -> None:
@@ -72,11 +86,13 @@ class Channels:
         count = len(self.spikes)
         self.run, self.gap = (np.zeros(count, dtype=np.int64) for _ in range(2))
         self._flows = False  # whether each channel has a new value in every sample
-        self.beyond = np.zeros(count)  # how far readings went beyond what was learnt
         self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
         # readings, and the residuals of their virtual sensors
-        self._both = np.full((2, self.batch + 2, count), np.nan)
+        self._raw, self._shown = (np.full((self.batch + 2, count), np.nan) for _ in range(2))
         self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
+        self._bent = np.full((ROUGH // self.batch, count), np.nan)  # their sums, by batch
+        self._beyond = np.zeros(count)
+        self._looked = self._count  # batches up to which that was drawn from the medians
         # batches that were the last that was not learnt, and the last with a spike
         self._broken = np.full(count, self._count, dtype=np.int64)
         self._spiked = np.full(count, self._count - FAR, dtype=np.int64)
@@ -91,11 +107,9 @@ class Channels:
         self._count += 1
         if learn is not True:
             self._broken[np.broadcast_to(np.logical_not(learn), self.run.shape)] = self._count
-        both = self._both
-        both[:, :2] = both[:, -2:]
-        both[0, 2:], both[1, 2:] = readings, residuals
-        raw, slopes = both[0], both[:, 1:] - both[:, :-1]
-        if np.minimum.reduce(np.abs(slopes[0, 1:]), axis=None) > 0.0:  # the usual case; not NaN
+        raw = self._raw
+        slopes, shown = _slopes(raw, readings), _slopes(self._shown, residuals)
+        if np.minimum.reduce(np.abs(slopes[1:]), axis=None) > 0.0:  # the usual case; not NaN
             if not self._flows:
                 self._flows = True
                 self.run[:] = self.gap[:] = 0
@@ -104,78 +118,83 @@ class Channels:
         else:
             self._flows = False
             self._repeat(raw, estimates, learn)
-        low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
-        middle = np.maximum(low, np.minimum(high, raw[2:]))  # NaN beside a gap
-        self._move(middle)
-        self._roughen(slopes)
-        self._see_spikes(raw, middle)
+        start = (self._count - 1) % (BLOCK // self.batch) * self.batch
+        block = slice(start, start + self.batch)
+        self._see_spikes(raw, self._middle[block], self._apart[block])
+        self._roughen(slopes, shown, self._bends[block])
         if self._count % (BLOCK // self.batch) == 0:
             self._end_block()
 
     def _repeat(self, raw: Floats, estimates: Floats, learn: Bools | bool) -> None:
-        """Count repeats and gaps of a batch; before each row stands what was so before it."""
+        """Count repeats and gaps of a batch. Row k is before sample k, row k + 1 after it."""
         missing = np.isnan(raw[2:])
-        last, run, gap, begun = ([value] for value in (self._last, self.run, self.gap, self._from))
-        for reading, estimate, none in zip(raw[2:], estimates, missing):
-            same = reading == last[-1]
-            run.append((run[-1] + same) * (same | none))
-            gap.append((gap[-1] + 1) * none)
-            last.append(np.where(none, last[-1], reading))
-            begun.append(np.where(run[-1] > 0, begun[-1], estimate))
-        moved = np.vstack([self._moved, np.abs(estimates - begun[1:])])  # since it was new
-        if np.any(learn):  # a gap or a run is part of a habit when it has ended
-            same, runs, gaps = raw[2:] == last[:-1], np.array(run[:-1]), np.array(gap[:-1])
+        some = np.count_nonzero(missing) > 0
+        last, begun = raw[1:].copy(), np.vstack([self._from, estimates])
+        runs, gaps = (np.zeros(last.shape, dtype=np.int64) for _ in range(2))
+        last[0], runs[0], gaps[0] = self._last, self.run, self.gap
+        if some:
+            for k, none in enumerate(missing):
+                np.copyto(last[k + 1], last[k], where=none)
+                gaps[k + 1] = (gaps[k] + 1) * none
+        same = raw[2:] == last[:-1]
+        stays = same | missing if some else same
+        for k in range(self.batch):
+            runs[k + 1] = (runs[k] + same[k]) * stays[k]
+            np.copyto(begun[k + 1], begun[k], where=runs[k + 1] > 0)
+        moved = np.abs(estimates - begun[1:])  # since the value was new
+        if learn is True or np.any(learn):  # a gap or a run is part of a habit when it has ended
+            before = runs[:-1]
             repeated, fresh = same & learn, ~missing & learn
-            ended = fresh & ~same
             self.repeats += np.add.reduce(repeated, axis=0, dtype=np.int64)
-            self.again += np.add.reduce(repeated & (runs > 0), axis=0, dtype=np.int64)
+            self.again += np.add.reduce(repeated & (before > 0), axis=0, dtype=np.int64)
             self.pairs += np.add.reduce(fresh, axis=0, dtype=np.int64)
-            runs *= ended
-            gaps *= fresh
-            np.maximum(self.longest, np.maximum.reduce(runs), out=self.longest)
-            np.maximum(self.longest_gap, np.maximum.reduce(gaps), out=self.longest_gap)
-            np.fmax(self.travel, np.fmax.reduce(np.where(runs > 0, moved[:-1], 0.0)),
-                    out=self.travel)
-        self._last, self.run, self.gap, self._from = last[-1], run[-1], gap[-1], begun[-1]
-        self._moved = moved[-1]
+            ended = before * (fresh & ~same)
+            np.maximum(self.longest, np.maximum.reduce(ended), out=self.longest)
+            np.maximum(self.longest_gap, np.maximum.reduce(gaps[:-1] * fresh),
+                       out=self.longest_gap)
+            went = np.vstack([self._moved, moved[:-1]])
+            went[ended == 0] = 0.0
+            np.fmax(self.travel, np.fmax.reduce(went), out=self.travel)
+        self._last, self._from, self._moved = last[-1], begun[-1], moved[-1]
+        self.run, self.gap = runs[-1], gaps[-1]
 
-    def _row(self) -> int:
-        """Return the place of this batch in its block."""
-        return (self._count - 1) % (BLOCK // self.batch)
-
-    def _rows(self) -> slice:
-        """Return the places of its samples."""
-        start = self._row() * self.batch
-        return slice(start, start + self.batch)
-
-    def _move(self, middle: Floats) -> None:
-        extremes = self._extremes[self._row()]
-        np.fmax.reduce(middle, axis=0, out=extremes[0])
-        np.negative(np.fmin.reduce(middle, axis=0), out=extremes[1])
-        further = extremes - self._reach
-        self.beyond *= self._fades
-        np.fmax(self.beyond, np.fmax(further[0], further[1]), out=self.beyond)
-
-    def _roughen(self, slopes: Floats) -> None:
-        bends = np.abs(slopes[:, 1:] - slopes[:, :-1])
-        least = np.fmin(bends[0], bends[1], out=self._bends[self._rows()])
-        np.minimum(least, self._cap, out=self._window[self._count % len(self._window)])
-
-    def _see_spikes(self, raw: Floats, middle: Floats) -> None:
-        apart = self._apart[self._rows()]
-        np.abs(raw[1:-1] - middle, out=apart)
+    def _see_spikes(self, raw: Floats, middle: Floats, apart: Floats) -> None:
+        """Fill in the medians of three and how far readings are from them."""
+        np.minimum(np.maximum(raw[:-2], raw[1:-1]), raw[2:], out=middle)
+        np.maximum(np.minimum(raw[:-2], raw[1:-1]), middle, out=middle)  # NaN beside a gap
+        np.subtract(raw[1:-1], middle, out=apart)
+        np.abs(apart, out=apart)
         spiked = apart > self._spike
-        if np.count_nonzero(spiked):
+        self.spiked = np.count_nonzero(spiked) > 0
+        if self.spiked:
             self.spikes += spiked.sum(axis=0)
             self._spiked[spiked.any(axis=0)] = self._count
 
+    def _roughen(self, slopes: Floats, shown: Floats, bends: Floats) -> None:
+        """Fill in how much both readings and residuals bend."""
+        one, other = slopes[1:] - slopes[:-1], shown[1:] - shown[:-1]
+        np.fmin(np.abs(one, out=one), np.abs(other, out=other), out=bends)
+        place = self._count % len(self._window)
+        np.minimum(bends, self._cap, out=self._window[place])
+        np.add.reduce(self._window[place], axis=0, out=self._bent[place])
+
     @property
-    def spiked(self) -> bool:
-        """Whether any had a spike in the last batch."""
-        return bool((self._spiked == self._count).any())
+    def beyond(self) -> Floats:
+        """How far readings went beyond what was learnt (c,); that is forgotten again."""
+        behind = self._count - self._looked
+        if behind:
+            end = (self._count - 1) % (BLOCK // self.batch) + 1
+            middle = self._middle.reshape(-1, self.batch, len(self._beyond))[end - behind:end]
+            further = np.fmax(np.fmax.reduce(middle, axis=1) - self._reach[0],
+                              -np.fmin.reduce(middle, axis=1) - self._reach[1])
+            for row in further:
+                self._beyond *= self._fades
+                np.fmax(self._beyond, row, out=self._beyond)
+            self._looked = self._count
+        return self._beyond
 
     def _end_block(self) -> None:
-        extremes = np.fmax.reduce(self._extremes)
+        extremes = np.stack([np.fmax.reduce(self._middle), -np.fmin.reduce(self._middle)])
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
         before = self.motion.count.copy()
@@ -201,6 +220,7 @@ class Channels:
 
     def _refresh(self, rows: list[int]) -> None:
         """Do so; rows: of the motion, in which there is something new."""
+        self._beyond = self.beyond  # by what was known until now
         for row in rows:
             self._usual[row] = self.motion.usual(row)
         self._reach = np.where(np.isfinite(self._usual[:2]), self._usual[:2], np.nan)
@@ -224,17 +244,18 @@ class Channels:
         """Tell which repeat their value for too long, by their habit or beside estimates (c,)."""
         if self._flows:
             return np.zeros(len(self.run), dtype=bool)
-        quiet = np.isinf(self._needed) & (self.pairs >= KNOWN)
-        if not quiet.any():
-            return self.run >= self._needed
-        enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
-        moved = (np.abs(estimates - self._from) > enough) & (self.run > self.longest)
-        return (self.run >= self._needed) | (quiet & moved)
+        stuck, late = self.run >= self._needed, self.run > self.longest
+        if np.count_nonzero(late):
+            quiet = late & np.isinf(self._needed) & (self.pairs >= KNOWN) & (
+                self.repeats - self.again >= FEWEST_RUNS)
+            enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
+            stuck |= quiet & (np.abs(estimates - self._from) > enough)
+        return stuck
 
     @property
     def rough(self) -> Floats:
         """Mean roughness of the last window (c,); NaN: not known."""
-        return np.add.reduce(self._window.reshape(ROUGH, -1)) / ROUGH
+        return np.add.reduce(self._window, axis=(0, 1)) / ROUGH
 
     def spiking(self) -> Bools:
         """Tell which had a spike just now."""
@@ -242,14 +263,15 @@ class Channels:
 
     def dropped(self) -> Bools:
         """Tell which have said nothing for too long."""
-        if self._flows:
+        if not np.count_nonzero(self.gap):
             return np.zeros(len(self.gap), dtype=bool)
         return self.gap > np.maximum(MISSING / self.period, 3 * self.longest_gap)
 
     def noisy(self) -> Bools:
         """Tell which are far rougher than the healthy machine."""
-        noisy = self.rough > self._roughest
+        noisy = np.add.reduce(self._bent) > NEARLY * ROUGH * self._roughest
         if np.count_nonzero(noisy):  # all bends are larger then, not those at spikes only
+            noisy = self.rough > self._roughest
             quiet = np.quantile(self._window[:, :, noisy], 0.25, axis=(0, 1))
             noisy[noisy] = quiet > QUIET * self.roughness[noisy]
         return noisy

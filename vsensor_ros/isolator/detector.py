@@ -41,7 +41,9 @@ class Detector:
         self.period, self.batch, self.false_alarms = period, batch, false_alarms
         self.prior, self._limit, self._floor = prior, limit, -limit
         self._length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
-        self._strides = [max(1, window // (4 * batch)) for window in WINDOWS]
+        strides = [max(1, window // (4 * batch)) for window in WINDOWS]
+        # how many windows are looked at, by batch; a long one is only beside all that are shorter
+        self._due = [sum(i % stride == 0 for stride in strides) for i in range(strides[-1])]
         self._blocks = [block // batch for block in BLOCKS]
         self._full = self._length[:, None] * batch + 2  # samples; and 2: the median needs them
         self.learnt = np.zeros(n, dtype=np.int64)  # samples
@@ -63,6 +65,7 @@ class Detector:
         self._sums = np.zeros((self._span, n))  # of all samples up to each batch
         self._past = np.zeros((SPAN // batch, batch, n))  # behind the median of three
         self._raw = np.zeros((batch + 2, n))
+        self._extreme = np.empty((batch, n))  # of two samples
         self._before = np.zeros(n)  # mean of the batch before
         self._count = 0  # batches
         self._jobs: list[tuple[int, slice]] = []
@@ -88,17 +91,17 @@ class Detector:
             unknown = np.isnan(new).any(axis=0)
             raw[:, unknown] = 0.0
             self.filled[unknown] = 0
-        low, high = np.minimum(raw[:-2], raw[1:-1]), np.maximum(raw[:-2], raw[1:-1])
+        one, other = raw[:-2], raw[1:-1]
         middle = self._past[self._count % len(self._past)]
-        np.minimum(high, new, out=middle)
-        np.maximum(low, middle, out=middle)
+        np.minimum(np.maximum(one, other, out=self._extreme), new, out=middle)
+        np.maximum(np.minimum(one, other, out=self._extreme), middle, out=middle)
         total = np.add.reduce(middle, axis=0)
         np.add(self._sums[(self._count - 1) % self._span], total,
                out=self._sums[self._count % self._span])
-        due = sum(self._count % stride == 0 for stride in self._strides)
+        due = self._due[self._count % len(self._due)]
         shown = self._tests(due, middle)
         np.divide(total, self.batch, out=self._before)
-        if np.minimum.reduce(self.filled, initial=SPAN) < 5 * self._full[due - 1]:
+        if np.count_nonzero(self.filled < 5 * self._full[due - 1]):
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
                 np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
         self._learn(shown, due, learn)

@@ -64,7 +64,7 @@ class Isolator:
         _check(sensors, residuals, settings)
         self.settings, self.sensors, self.period = settings, tuple(sensors), period
         self.residuals = tuple(residuals)
-        self._units = units
+        self._units = dict(units)
         own = [self.sensors.index(r.channel) if r.channel in self.sensors else -1
                for r in residuals]
         gains = np.zeros((len(own), len(sensors)))
@@ -157,7 +157,7 @@ class Isolator:
         excusable = self._excusable() if diagnosis.conflicts else None
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
-        if diagnosis.stands or direct or alarms.any():
+        if diagnosis.stands or direct or np.count_nonzero(alarms):
             diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
             if excusable is not None and not diagnosis.stands:
                 self._admit(excusable)
@@ -174,7 +174,7 @@ class Isolator:
         found: dict[int, str] = {}
         for kind, which in ((NOISE, channels.noisy()), (STUCK, channels.stuck(self.watch.said)),
                             (DROPPED, channels.dropped())):
-            if which.any():
+            if np.count_nonzero(which):
                 found |= dict.fromkeys(np.flatnonzero(which).tolist(), kind)
         return found
 

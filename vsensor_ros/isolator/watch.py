@@ -86,7 +86,7 @@ class Watch:
         self.channels.step(readings, shown, said, learn_channels)
         self.said = said[-1]
         alarms = self.detector.step(residuals, learn, self._widened)
-        if alarms.any():  # what spikes leave behind is nobody's fault
+        if np.count_nonzero(alarms):  # what spikes leave behind is nobody's fault
             spiking = self.channels.spiking()
             for i in np.flatnonzero(alarms & self.supports[:, spiking].any(axis=1)):
                 alarms[i] = self._lasts(int(i))
