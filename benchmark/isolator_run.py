@@ -128,15 +128,22 @@ class Fleet:
         now = self.ticks * PERIOD
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
-            model = list(diagnosis.conflicts) if diagnosis.model else []
+            excusable = self._excusable(m)
             diagnosis.update(now, self.alarms[m], running[m],
                              [1 << int(j) for j in np.flatnonzero(self.direct[m])])
-            if model and not diagnosis.stands:
-                self._admit(m, model)
+            if not diagnosis.stands:
+                self._admit(excusable)
             (self.busy.add if diagnosis.stands else self.busy.discard)(m)
 
-    def _admit(self, machine: int, checks: list[int]) -> None:
-        self.watch.detector.admit(machine * len(self.checks) + np.array(checks))
+    def _excusable(self, machine: int) -> NDArray[np.int64]:
+        """Return which columns alarm while no sensor is to blame, but the model."""
+        first = machine * len(self.checks)
+        return first + self.diagnoses[machine].excusable(
+            lambda checks: self.watch.detector.admitted(first + checks))
+
+    def _admit(self, columns: NDArray[np.int64]) -> None:
+        if columns.size:
+            self.watch.detector.admit(columns)
 
     def healthy(self, seconds: float) -> list[tuple[float, int, str]]:
         """Run without faults; return each time that somebody was blamed or the model was."""
@@ -152,7 +159,7 @@ class Fleet:
                 if state and known.get(m) != state:
                     told.append((self.ticks * PERIOD, m, state))
                     if state == 'model':
-                        self._admit(m, list(d.conflicts))
+                        self._admit(self._excusable(m))
                     if state != 'suspected':  # whoever looks after it says that it is healthy
                         self.diagnoses[m] = Diagnosis(self.supports)
                         self.busy.discard(m)

@@ -84,10 +84,47 @@ def test_two_that_share_a_residual_are_both_named_and_neither_blamed():
 
 
 def test_everything_at_once_is_the_model(machine):
-    def all_wrong(readings):
-        return readings + np.array([0.5, -0.5, 0.5])
     verdict = machine.run(5.0, estimates=all_wrong)
     assert verdict.state == 'model' and verdict.faulty == ()
+
+
+def all_wrong(readings):
+    return readings + np.array([0.5, -0.5, 0.5])
+
+
+def test_a_model_that_errs_again_and_again_is_told_a_few_times_only(machine):
+    said = []
+    for _ in range(12):
+        said.append(machine.run(8.0, estimates=all_wrong).state)
+        machine.isolator.clear('a')
+        machine.run(20.0)
+    assert said[0] == 'model' and said[-3:] == ['healthy'] * 3
+    verdict = machine.run(8.0, of('b', lambda reading, time, random: reading + 5.0))
+    assert verdict.faulty == ('b',)
+
+
+def test_a_model_that_errs_no_more_is_learnt_from(machine):
+    thresholds = machine.isolator.watch.detector.thresholds.copy()
+    assert machine.run(4.0, estimates=all_wrong).state == 'model'
+    assert machine.run(100.0).state == 'healthy'
+    wider = machine.isolator.watch.detector.thresholds - thresholds
+    assert wider.min() > -1e-9 and 0.0 < wider.max() < 0.5
+
+
+def test_a_sensor_that_is_cleared_while_faulty_is_found_again_and_teaches_nothing(machine):
+    for _ in range(8):
+        verdict = machine.run(20.0, of('b', FAULTS['bias']), until=lambda v: v.faults)
+        assert verdict.faulty == ('b',)
+        machine.isolator.clear('b')
+    assert np.isneginf(machine.isolator.watch.detector.taught).all()
+
+
+def test_a_suspicion_that_passes_teaches_nothing():
+    lone = Machine(RESIDUALS[:1])
+    lone.run(360.0)
+    assert lone.run(5.0, of('a', FAULTS['bias'])).state == 'suspected'
+    assert lone.run(100.0).state == 'healthy'
+    assert np.isneginf(lone.isolator.watch.detector.taught).all()
 
 
 def test_nothing_is_learnt_while_something_is_wrong(machine):
@@ -137,6 +174,23 @@ def test_motion_beyond_what_was_learnt_is_allowed_for():
     told = []
     machine.run(150.0, estimates=model, motion=3.0, until=lambda v: told.append(v.state) and False)
     assert set(told) == {'healthy'}
+
+
+def test_motion_that_is_faster_than_what_was_learnt_is_allowed_for():
+    machine, told = Machine(), set()
+
+    def run(seconds, speed, fault=None):
+        def estimates(readings):  # they err by the speed
+            return readings[[1, 2, 0]] + 0.03 * speed * np.cos(machine.phase)
+        return machine.run(seconds, fault, estimates, speed=speed,
+                           until=lambda v: fault is None and told.add(v.state))
+    run(400.0, 1.0)
+    told.clear()
+    for speed in (1.3, 1.7, 2.2, 3.0):
+        run(20.0, speed)
+    run(100.0, 3.0)
+    assert told == {'healthy'}
+    assert run(20.0, 3.0, of('b', lambda reading, time, random: reading + 1.0)).faulty == ('b',)
 
 
 def test_what_is_not_confirmed_is_not_looked_at(machine):

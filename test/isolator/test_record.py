@@ -31,6 +31,27 @@ def test_a_new_isolator_goes_on_from_what_was_learnt(machine, path):
     assert verdict.faulty == ('a',)
 
 
+def test_what_alarms_and_motion_have_taught_comes_back_too(machine, tmp_path):
+    watch = machine.isolator.watch
+    watch.detector.admit(np.array([1]))
+    watch.motion.use()
+    save(machine.isolator, tmp_path / 'record.json', DESIGN)
+    new = Machine(seed=5)
+    load(new.isolator, tmp_path / 'record.json', DESIGN)
+    assert new.isolator.watch.detector.taught == pytest.approx(watch.detector.taught, rel=1e-4)
+    assert np.isfinite(new.isolator.watch.detector.taught).any(axis=0).tolist() == [0, 1, 0]
+    assert new.isolator.watch.motion.range == pytest.approx(watch.motion.range, rel=1e-4)
+    assert (watch.motion.range > 0.5).all()
+
+
+def test_a_record_of_before_there_was_motion_still_loads(path):
+    forged(path, lambda r: [r.pop('swings'), r.pop('taught')])
+    new = Machine(seed=5)
+    load(new.isolator, path, DESIGN)
+    assert new.run(20.0).notes == ()
+    assert (new.isolator.watch.motion.range == 0.0).all()
+
+
 def test_an_old_record_stays_whole_when_a_new_one_cannot_be_written(machine, path):
     machine.isolator.watch.channels.roughness[0] = np.nan
     before = path.read_text()
@@ -59,6 +80,11 @@ def forged(path, change):
     ('roughness', lambda r: r.update(roughness=[-1.0, 1.0, 1.0])),
     ('usual_spike', lambda r: r.update(usual_spike=[1e300] * 3)),
     ('blocks[2][1]', lambda r: r['motion']['blocks'][2].__setitem__(1, [-1e308] * 9)),
+    ('swings', lambda r: r.update(swings=[[0, 0, 99, 1.0]])),
+    ('swings', lambda r: r.update(swings=[[0, 0, 0.5, 1.0]])),
+    ('swings', lambda r: r.update(swings=[[0, 0]])),
+    ('taught', lambda r: r.update(taught=[[0, 0, 1e300]])),
+    ('taught', lambda r: r.update(taught='all')),
     ('extra', lambda r: r.update(extra=1)),
     ('merged', lambda r: r['maxima']['merged'][0].__setitem__(0, 3)),
     ('blocks', lambda r: r['maxima']['blocks'].pop()),

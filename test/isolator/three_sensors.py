@@ -22,13 +22,16 @@ class Machine:
         self.random = np.random.default_rng(seed)
         self.others = [SENSORS.index(PAIRS[RESIDUALS.index(r)][1]) for r in residuals]
         self.tick = 0
+        self.phase = 0.0
 
-    def run(self, seconds, fault=None, estimates=None, until=None, motion=1.0):
+    def run(self, seconds, fault=None, estimates=None, until=None, motion=1.0,
+            speed=1.0):
         """Go on; fault(readings, s, random) says what the drivers say. Returns the verdict."""
         verdict = None
         for k in range(round(seconds / PERIOD)):
             self.tick += 1
-            truth = motion * np.sin(0.05 * self.tick * PERIOD)
+            self.phase += 0.05 * speed * PERIOD
+            truth = motion * np.sin(self.phase)
             readings = truth + NOISE * self.random.standard_normal(3)
             if fault is not None:
                 readings = fault(readings, k * PERIOD, self.random)

@@ -17,6 +17,7 @@ from vsensor_ros.engine.events import IsolationReport
 from vsensor_ros.engine.fault_sizes import Sizes
 from vsensor_ros.engine.settings import Setup
 from vsensor_ros.isolator import Isolator, load, save, Verdict
+from vsensor_ros.isolator.verdict import MODEL
 from vsensor_ros.reason import Reason
 
 NOBODY = IsolationReport({}, frozenset())
@@ -100,9 +101,14 @@ class OwnIsolator:
         return told
 
     def clear(self, names: tuple[str, ...]) -> bool:
-        """Believe sensors again; tell whether one was blamed."""
+        """
+        Believe sensors again; tell whether one was blamed.
+
+        While the model is blamed and no sensor, any of them tells that the machine is healthy.
+        """
         blamed = [name for name in names if name in self.verdict.faulty]
-        for name in blamed:
+        model = self.verdict.state == MODEL and not self.verdict.faulty
+        for name in names[:1] if model else blamed:
             self._isolator.clear(name)
         self.verdict = self._isolator.verdict
         self._forgive(tuple(blamed))

@@ -21,7 +21,7 @@ TESTS = 4 * len(WINDOWS)  # of a column: level and contrast, above and below
 SPAN = 5 * WINDOWS[-1]  # samples that are kept
 ENOUGH = 300.0  # s of a healthy machine, before which its record is not trusted
 AT_ONCE = 64  # columns whose thresholds are computed in one step
-LEAST = 0.5  # times its width is a test widened, when what alarmed is taken for healthy
+WIDER = 0.5  # times its width is a test widened, when what alarmed is taken for healthy
 GROWTH = 1.25  # of what was learnt, until thresholds are computed anew
 
 Bools = NDArray[np.bool_]
@@ -58,7 +58,6 @@ class Detector:
         self._passed = np.zeros((count, 2, 2, n), dtype=bool)
         self.high = np.zeros((count, 2, n), dtype=bool)  # tests that are passed now
         self._any_high = False
-        self._excess = np.zeros((count, 2, 2, n))  # by how much tests were passed
         self.taught = np.full((TESTS, n), -np.inf)  # that thresholds are never below
         self.filled = np.zeros(n, dtype=np.int64)  # samples since the start of the windows
         self._streak = np.zeros(n, dtype=np.int64)  # samples that were learnt without a gap
@@ -109,9 +108,7 @@ class Detector:
         limits, passed = self._limits[:due], self._passed[:due]
         np.greater(shown, limits, out=passed)
         if np.count_nonzero(passed):
-            excess = shown - limits
-            np.greater(excess, widened(due), out=passed)
-            np.maximum(self._excess[:due], excess, out=self._excess[:due], where=passed)
+            np.greater(shown - limits, widened(due), out=passed)
         elif not self._any_high:
             return np.zeros(len(self.prior), dtype=bool)
         np.logical_or(passed[:, 0], passed[:, 1], out=self.high[:due])
@@ -171,12 +168,12 @@ class Detector:
                 self.maxima.add(row + side * len(WINDOWS), self._largest[w, side, test], known)
         self._largest[w] = -np.inf
 
-    def refresh(self) -> None:
-        """Compute all thresholds anew from the record."""
+    def refresh(self, columns: slice | NDArray[np.int64] = slice(None)) -> None:
+        """Compute thresholds anew from the record."""
         for w in range(len(WINDOWS)):
-            self._refresh(w, slice(None))
+            self._refresh(w, columns)
 
-    def _refresh(self, w: int, columns: slice) -> None:
+    def _refresh(self, w: int, columns: slice | NDArray[np.int64]) -> None:
         trusted = self.learnt[columns] * self.period >= ENOUGH
         for test, row in enumerate((w, w + 2 * len(WINDOWS))):  # level, contrast
             both = slice(row, row + len(WINDOWS) + 1, len(WINDOWS))  # above and below
@@ -188,30 +185,27 @@ class Detector:
                                            np.divide(1.0 / self.false_alarms, block)))
             found = np.where(trusted & np.isfinite(found), found, self.prior[columns])
             self.thresholds[both, columns] = np.maximum(found, self.taught[both, columns])
-            self._limits[w, :, test, columns] = self.thresholds[both, columns]
+            self._limits[w][:, test][:, columns] = self.thresholds[both, columns]
 
     def width(self, due: int) -> Floats:
         """Return half of what is between the thresholds of the first windows (due, 1, 2, n)."""
         return self._limits[:due].mean(axis=1, keepdims=True)
 
-    def admit(self, columns: Bools | NDArray[np.int64]) -> None:
-        """Take what alarmed for healthy: tests that were passed get wider, twice at most."""
-        width, excess = self.width(len(WINDOWS)), self._excess.max(axis=1, keepdims=True)
-        wider = self._limits + np.where(excess > 0.0, np.clip(excess, LEAST * width, width), 0.0)
+    def admit(self, columns: NDArray[np.int64]) -> None:
+        """Take what alarmed for healthy: thresholds get wider by half."""
+        wider = self._limits + WIDER * self.width(len(WINDOWS))
         # rows of the record: level and contrast, each above and below, by window
-        rows = wider.transpose(2, 1, 0, 3).reshape(TESTS, -1)
-        known = (excess > 0.0).repeat(2, axis=1).transpose(2, 1, 0, 3).reshape(TESTS, -1)
-        chosen = np.zeros(known.shape[1], dtype=bool)
-        chosen[columns] = True
-        self.taught = np.where(known & chosen, rows, self.taught)
-        self.refresh()
-        self._excess[..., chosen] = 0.0
+        self.taught[:, columns] = wider.transpose(2, 1, 0, 3).reshape(TESTS, -1)[:, columns]
+        self.refresh(columns)
+
+    def admitted(self, columns: NDArray[np.int64]) -> bool:
+        """Tell whether all of these were ever taken for healthy when they alarmed."""
+        return bool(np.isfinite(self.taught[0, columns]).all())
 
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""
         self.filled[columns] = 0
         self.high[:, :, columns] = False
-        self._excess[..., columns] = 0.0
 
     def past(self, column: int, samples: int) -> Floats:
         """Return the last samples of a column behind the median of three, oldest first."""

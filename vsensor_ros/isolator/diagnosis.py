@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vsensor_ros.isolator.conflicts import bits, least_hitting_sets
 from vsensor_ros.isolator.detector import Bools
@@ -86,8 +87,18 @@ class Diagnosis:
         self._judge(time, running)
         return gone
 
-    def dismiss(self) -> list[int]:
-        """End a verdict that blames the model; return the checks that it was about."""
-        gone, self.model = list(self.conflicts), False
+    def excusable(self, before: Callable[[NDArray[np.int64]], bool]) -> NDArray[np.int64]:
+        """
+        Return the checks of the conflicts, if no sensor is blamed, but the model; else none.
+
+        A suspicion counts, too, when before(checks): they were excused before.
+        """
+        checks = np.array(sorted(self.conflicts), dtype=np.int64)
+        if self.found or self.direct or not (self.model or checks.size and before(checks)):
+            return checks[:0]
+        return checks
+
+    def dismiss(self) -> None:
+        """End a verdict that blames the model."""
+        self.model = False
         self.conflicts.clear()
-        return gone

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.isolator.channels import ROUGH
@@ -135,8 +135,10 @@ class Isolator:
             raise KeyError(f'{sensor}: no such sensor; there are {", ".join(self.sensors)}')
         if self._time is not None:
             j = self.sensors.index(sensor)
-            if self._diagnosis.model and j not in self._known:  # so says who looked after it
-                self._admit(self._diagnosis.dismiss())
+            checks = self._excusable()
+            if checks.size and self._diagnosis.model:  # so says who looked after it
+                self._diagnosis.dismiss()
+                self._admit(checks)
             else:
                 self._forgive(j, self._time)
             self._say(self._time)
@@ -151,13 +153,14 @@ class Isolator:
         for kept in (self._readings, self._estimates):
             if not (kept.max(initial=0.0) < LARGEST and kept.min(initial=0.0) > -LARGEST):
                 kept[~(np.abs(kept) < LARGEST)] = np.nan
-        healthy, model = not diagnosis.stands, list(diagnosis.conflicts) if diagnosis.model else []
+        healthy = not diagnosis.stands
+        excusable = self._excusable() if diagnosis.conflicts else None
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
         if diagnosis.stands or direct or np.count_nonzero(alarms):
             diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
-            if model and not diagnosis.stands:
-                self._admit(model)
+            if excusable is not None and not diagnosis.stands:
+                self._admit(excusable)
             self._follow(time, direct)
         if self._count_spikes(now) or not healthy or diagnosis.stands or self._verdict.time == 0 \
                 or self._known or self._verdict.notes:
@@ -239,11 +242,15 @@ class Isolator:
         self.watch.detector.restart(np.array(gone, dtype=np.int64))
         self._known.pop(j, None)
 
-    def _admit(self, checks: list[int]) -> None:
+    def _excusable(self) -> NDArray[np.int64]:
+        """Return the checks that alarm, if no sensor is to blame, but the model, now or before."""
+        return self._diagnosis.excusable(self.watch.detector.admitted)
+
+    def _admit(self, checks: NDArray[np.int64]) -> None:
         """Learn from alarms for which no sensor was to blame, and which are over."""
-        gone = np.array(checks, dtype=np.int64)
-        self.watch.detector.admit(gone)
-        self.watch.detector.restart(gone)
+        if checks.size:
+            self.watch.detector.admit(checks)
+            self.watch.detector.restart(checks)
 
     def _count_spikes(self, now: float) -> bool:
         new = False

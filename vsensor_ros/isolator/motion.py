@@ -14,17 +14,21 @@ from numpy.typing import NDArray
 from vsensor_ros.isolator.block_maxima import Floats
 from vsensor_ros.isolator.detector import ENOUGH, GROWTH, SPAN
 
-WINDOWS = (16, 64, 256, 1024)  # samples
+WINDOWS = (4, 16, 64, 256, 1024)  # samples
 ROWS = 2 * len(WINDOWS)  # level and contrast of each, as the detector has them
 LOOK = 128  # samples, after which motion is learnt; in between it is looked at when it counts
 PEAK = 20.0  # s in which a peak is forgotten to 1/e
+SPARE = 0.25  # of what was learnt is spared in the thresholds anyway
 WILD = 1e12  # what is not below it is no estimate
 
 Bools = NDArray[np.bool_]
 
 
 class Motion:
-    """Of any number of channels c. beyond (c,): motion beyond what was learnt, as a share of it."""
+    """Of channels c. beyond (c,): motion beyond what was learnt, as a share of it."""
+
+    _filled: NDArray[np.int64]  # samples since the start of the windows
+    _streak: NDArray[np.int64]  # samples that were healthy without a gap
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
@@ -48,7 +52,7 @@ class Motion:
         self._held = 0
 
     def step(self, estimates: Floats, learn: Bools | bool) -> None:
-        """Take a batch of estimates (batch, c); learn, () or (c,): whether it counts as healthy."""
+        """Take estimates (batch, c); learn, () or (c,): whether they count as healthy."""
         np.add.reduce(estimates, axis=0, out=self._waiting[self._held])
         self._held += 1
         if learn is not True:
@@ -81,7 +85,7 @@ class Motion:
         np.divide((shown - np.where(known, self._used, np.inf)).max(axis=0), half, out=share,
                   where=known)
         self.beyond *= np.exp(-held * self.batch * self.period / PEAK)
-        np.maximum(self.beyond, share.max(axis=0), out=self.beyond)
+        np.maximum(self.beyond, share.max(axis=0) - SPARE, out=self.beyond)
 
     def _shown(self, places: NDArray[np.int64]) -> Floats:
         """Return the most, and the least with the other sign, of all windows (2, ROWS, c)."""

@@ -36,7 +36,8 @@ def save(isolator: Isolator, path: str | Path, design: str) -> None:
         'format': FORMAT, 'version': VERSION, 'design': design, 'period': isolator.period,
         'residuals': [r.name for r in isolator.residuals], 'sensors': list(isolator.sensors),
         'learnt': detector.learnt.tolist(), 'maxima': _written(detector.maxima),
-        'motion': _written(channels.motion),
+        'motion': _written(channels.motion), 'swings': _known(isolator.watch.motion.swings),
+        'taught': _known(detector.taught),
         **{key: getattr(channels, key).tolist() for key in (*COUNTS, *SIZES)}}
     try:
         write_whole(path, json.dumps(record, allow_nan=False) + '\n')
@@ -78,25 +79,31 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
         if list(reader.texts(key)) != names:
             raise reader.fail(key, 'are not those of the design')
     reader.only(('format', 'version', 'design', 'period', 'residuals', 'sensors', 'learnt',
-                 'maxima', 'motion', *COUNTS, *SIZES))
+                 'maxima', 'motion', 'swings', 'taught', *COUNTS, *SIZES))
     r, c = len(isolator.residuals), len(isolator.sensors)
-    detector, channels = isolator.watch.detector, isolator.watch.channels
+    detector, channels, motion = (isolator.watch.detector, isolator.watch.channels,
+                                  isolator.watch.motion)
     learnt = _counts(reader, 'learnt', r)
     maxima = _maxima(reader.object('maxima'), TESTS, r)
-    motion = _maxima(reader.object('motion'), 3, c)
+    extremes = _maxima(reader.object('motion'), 3, c)
     counts = {key: _counts(reader, key, c) for key in COUNTS}
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
+    swings = _cells(reader, 'swings', motion.swings.shape)
+    taught = _cells(reader, 'taught', detector.taught.shape)
     if np.any(counts['again'] > counts['repeats']):
         raise reader.fail('again', 'are more than repeats')
     if np.any(counts['repeats'] > counts['pairs']):
         raise reader.fail('repeats', 'are more than pairs')
 
     def apply() -> None:
-        detector.learnt, detector.maxima, channels.motion = learnt, maxima, motion
+        detector.learnt, detector.maxima, channels.motion = learnt, maxima, extremes
+        detector.taught, motion.swings = taught, swings
+        motion.learnt = int(learnt.max(initial=0))
         for key, values in (*counts.items(), *sizes.items()):
             setattr(channels, key, values)
         detector.refresh()
         channels.refresh()
+        motion.use()
     return apply
 
 
@@ -108,6 +115,28 @@ def _written(maxima: BlockMaxima) -> dict[str, Any]:
                      maxima.maxima[:maxima.count[i, j], i, j].tolist()]
                     for j in range(columns)] for i in range(rows)],
         'merged': maxima.merged.tolist()}
+
+
+def _known(cells: np.ndarray) -> list[list[float]]:
+    """Return what is known of a table, whose other cells are -inf: rows of place and value."""
+    return [[*place, float(f'{cells[tuple(place)]:.6g}')]
+            for place in np.argwhere(~np.isneginf(cells)).tolist()]
+
+
+def _cells(reader: CheckedObject, key: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Read such a table; records of earlier versions have none."""
+    cells = np.full(shape, -np.inf)
+    rows = reader.get(key, list, 'a list of lists') if key in reader.record else []
+    if not rows:
+        return cells
+    found = reader.array(key, len(rows), len(shape) + 1)
+    places = found[:, :-1]
+    if np.any((places < 0) | (places >= shape) | (places % 1 != 0)):
+        raise reader.fail(key, 'has places that are none')
+    if np.any(np.abs(found[:, -1]) > LARGEST):
+        raise reader.fail(key, f'has a number above {LARGEST:g}')
+    cells[tuple(places.astype(np.int64).T)] = found[:, -1]
+    return cells
 
 
 def _maxima(reader: CheckedObject, rows: int, columns: int) -> BlockMaxima:

@@ -54,7 +54,7 @@ class Watch:
         self._quietest = np.zeros(len(best), dtype=np.int64)
         self._quietest[own[order][own[order] >= 0]] = order[own[order] >= 0]
         # of each check the channels that have to move: its own, whose estimate does not read it;
-        # of a dedicated filter all that may be at fault, for it moves what reads it, but not its own
+        # of a dedicated filter all that may be at fault: a fault moves estimates of others only
         movers = [[channel] if channel >= 0 else np.flatnonzero(row & (best >= 0))
                   for channel, row in zip(own, supports)]
         most = max((len(row) for row in movers), default=1)
