@@ -16,7 +16,7 @@ from vsensor_ros.reason import Reason
 
 SETTLED = 0.05  # of the half-width: what is left of the start when it is ready
 SURE = 2.0  # standard deviations in a half-width
-_MIDDLE = 0.5 + 1e-6  # of a sample time: further from its tick no reading counts as a sample
+_FAR = 0.8  # sample times from readings: so far one tick is at least where a sample is missing
 _LONGEST = 5000  # steps that a wrong reading is followed
 
 
@@ -64,7 +64,7 @@ class FaultBatch(Batch):
 
     def _missed(self, told: Told) -> np.ndarray:
         """Tell (V,) whose readings are not all there, but held, or between two far apart."""
-        old = told.ages > _MIDDLE * self.period
+        old = told.ages > _FAR * self.period
         return np.asarray((self.runs_on[:, :len(old)] & old).any(axis=1))
 
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from vsensor_ros.observers.memberships import read_memberships
 _ARRAYS = ('ranges', 'from_readings', 'from_inputs', 'N', 'K', 'M', 'T2', 'Cv', 'P', 'initial',
            'from_first', 'deviations')
 _MOST = 64  # submodels
+_ROUNDING = 1e-14  # of the largest eigenvalue: a smaller one is none
 
 
 def write_section(entry: FaultObserver) -> dict[str, Any]:
@@ -46,8 +47,9 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                                 (o, k), (k, k), (k,), (k, r), (o,))))
     arrays = {key: reader.array(key, *shape) for key, shape in shapes.items()}
     memberships = read_memberships(reader, premises, arrays['ranges'])
+    sizes = np.linalg.eigvalsh(arrays['P'])
     if not (arrays['P'] == arrays['P'].T).all() or \
-            not np.linalg.eigvalsh(arrays['P']).min(initial=np.inf) > 0.0:
+            not sizes.min(initial=np.inf) > _ROUNDING * sizes.max(initial=0.0):
         raise reader.fail('P', 'is not symmetric and positive definite')
     if not (arrays['deviations'] >= 0.0).all():
         raise reader.fail('deviations', 'must not be negative')
