@@ -6,6 +6,7 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -19,6 +20,7 @@ sys.path.append(str(Path(__file__).parent))
 from managed_rig import KEPT, machines, told
 
 SENSORS = ('y1', 'y2', 'y3')
+BEST = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 AT_REST = {'y1': 1.5, 'y2': 3.0, 'y3': 4.5}
 
 
@@ -108,6 +110,23 @@ def test_who_fails_is_found_and_replaced_until_it_is_cleared(machine, isolating,
     assert m.spin_until(lambda: status(heard, 'source') == 'real')
     assert m.end() == 0
     assert json.loads(record.read_text())['sensors'] == list(SENSORS)
+
+
+def test_how_large_a_fault_is_stands_among_the_estimates(machine, isolating):
+    m, values, _ = start(machine, isolating, 'advise', isolator__record='none')
+    heard = m.listen(DiagnosticArray, '/replacer/estimates', BEST)
+
+    def size(name):
+        return next((float(v.value) for message in reversed(heard) for s in message.status
+                     if s.name == f'fault.{name}' for v in s.values if v.key == 'value'), None)
+    assert m.spin_until(lambda: size('y2') == pytest.approx(0.0, abs=0.05))
+    values['y2'] = 4.0
+    assert m.spin_until(lambda: size('y2') == pytest.approx(1.0, abs=0.05))
+    statuses = {s.name: s for message in heard for s in message.status}
+    assert {name for name in statuses if name.startswith('fault.')} == {
+        'fault.y1', 'fault.y2', 'fault.y3', 'fault.u1'}
+    assert statuses['fault.y2'].message == 'virtual sensor'
+    assert [v.key for v in statuses['fault.u1'].values] == ['value', 'deviation']
 
 
 def test_advice_changes_nothing_of_what_goes_out(machine, isolating):

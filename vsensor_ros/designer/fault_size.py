@@ -100,7 +100,7 @@ def fault_size(plant: Plant, designed: Design, name: str, response: float | None
     if not allowed:
         return why_not[WALK if method is None else method]
     best = allowed[0] if allowed[0].method == VIRTUAL and not allowed[0].disturbed else min(
-        allowed, key=lambda size: (size.disturbed > 0.0, size.noise))
+        allowed, key=lambda size: (size.disturbed > 0.0, _bent(size), size.noise))
     return replace(best, why_not=why_not, others={
         size.method: size.noise for size in found if size is not best})
 
@@ -172,6 +172,18 @@ def _slid(name: str, by: Sliding, response: float, plain: float) -> list[FaultSi
             by.twisting(response, change, by.rough), assumed,
             injection=replace(by.injection, change=change)))
     return sizes
+
+
+def _bent(size: FaultSize) -> bool:
+    """
+    Tell whether a fault enters a sliding mode through a term.
+
+    There f is by its slope at the operating point: elsewhere the size is off by as much as that.
+    """
+    v = size.observer
+    if size.injection is None or not isinstance(v, VirtualSensor) or size.name not in v.healthy:
+        return False
+    return any(v.Gy[i][:, v.healthy.index(size.name)].any() for i in v.active)
 
 
 def _largest(plant: Plant, name: str, noise: float) -> float:
