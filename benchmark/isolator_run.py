@@ -76,10 +76,8 @@ class Fleet:
         self.supports = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in support]
         best = np.array([min(np.flatnonzero(own == j), default=-1,
                              key=lambda i: support[i].sum()) for j in range(c)])
-        gains = np.array([[1.0 if own[i] == j else 0.0 if own[i] >= 0 or name not in check.support
-                           else abs(check.gains[check.support.index(name)] or 0.0)
-                           for j, name in enumerate(self.sensors)]
-                          for i, check in enumerate(self.checks)])
+        gains = np.array([[check.motion().get(name, 0.0) for name in self.sensors]
+                          for check in self.checks])
         at, each = np.arange(count)[:, None], np.eye(count)
         self.watch = Watch(
             PERIOD, np.where(own < 0, -1, own + c * at).ravel(), np.kron(each, support) > 0.0,

@@ -6,6 +6,7 @@ from three_sensors import Machine, NOISE, of, PERIOD, RESIDUALS
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.isolator import Isolator, Settings
+from vsensor_ros.observers import Residual
 
 
 def frozen(machine):
@@ -191,6 +192,20 @@ def test_motion_that_is_faster_than_what_was_learnt_is_allowed_for():
     run(100.0, 3.0)
     assert told == {'healthy'}
     assert run(20.0, 3.0, of('b', lambda reading, time, random: reading + 1.0)).faulty == ('b',)
+
+
+def test_a_residual_that_its_own_channel_corrects_is_not_widened_by_how_far_that_goes():
+    """An angle that goes round and round, by the innovation that a speed predicts."""
+    tracked = Residual('angle without angle', ('angle',), 'angle', ('speed', 'angle'), (-0.5, 0.0),
+                       NOISE, 6 * NOISE)
+    isolator = Isolator(Settings(), ('speed', 'angle'), [tracked], PERIOD)
+    random, told = np.random.default_rng(0), []
+    for k in range(5000):
+        error = NOISE * random.standard_normal(3) + [0.0, 0.0, 0.1 * (k >= 4500)]
+        speed, angle = np.sin(0.2 * k * PERIOD), 3.0 * k * PERIOD + error[1]
+        told.append(isolator.step(k * round(PERIOD * 1e9), np.array([speed + error[0], angle]),
+                                  np.array([angle - error[2]])).state)
+    assert set(told[:4500]) == {'healthy'} and set(told[4520:4600]) == {'suspected'}
 
 
 def test_what_is_not_confirmed_is_not_looked_at(machine):

@@ -68,12 +68,9 @@ class Isolator:
         own = [self.sensors.index(r.channel) if r.channel in self.sensors else -1
                for r in residuals]
         gains = np.zeros((len(own), len(sensors)))
-        for i, (r, channel) in enumerate(zip(residuals, own)):
-            if channel >= 0:
-                gains[i, channel] = 1.0
-            else:
-                for name, gain in zip(r.support, r.gains):
-                    gains[i, self.sensors.index(name)] = abs(gain or 0.0)
+        for i, r in enumerate(residuals):
+            for name, gain in r.motion().items():
+                gains[i, self.sensors.index(name)] = gain
         best = [min((i for i, of in enumerate(own) if of == j), default=-1,
                     key=lambda i: len(residuals[i].support)) for j in range(len(sensors))]
         wanted = settings.false_alarms_per_day / DAY / (TESTS * max(len(own), 1))

@@ -39,6 +39,18 @@ class Residual:
             return NONE
         return STRONG if self.gains[self.support.index(sensor)] else WEAK
 
+    def motion(self) -> dict[str, float]:
+        """
+        Return how much of the motion of which sensors is in it, as far as the model errs.
+
+        Of ``y - vhat`` all that its channel does. One that is corrected by its channel, and a
+        dedicated filter, keep of their readings what their gains say.
+        """
+        gains = dict(zip(self.support, self.gains))
+        if gains.get(self.channel, 0.0) != 0.0:
+            return {self.channel: 1.0}
+        return {sensor: abs(gain or 0.0) for sensor, gain in gains.items()}
+
 
 @dataclass(frozen=True)
 class Distinction:
