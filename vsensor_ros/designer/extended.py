@@ -36,8 +36,8 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
     spreads, all noise, equations without jumps, and readings free of unknown inputs.
     """
     spreads = spreads_of(plant, spread)
-    if not spreads or not plant.C[plant.sensors.index(channel)].any() or \
-            not _is_told(plant, fault_set, channel):
+    if not spreads or not _is_told(plant, fault_set, channel) or \
+            not plant.C[plant.sensors.index(channel)].any():
         return None
     return _entry(plant, fault_set, channel, model_of(plant, spreads))
 
@@ -49,8 +49,10 @@ def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,
 
     It needs no spreads: its states say where it is from whatever start.
     """
+    if not _is_told(plant, fault_set, channel):
+        return None
     turns = np.flatnonzero(plant.C[plant.sensors.index(channel)])
-    if len(turns) != 1 or not _is_told(plant, fault_set, channel):
+    if len(turns) != 1:
         return None
     model = immersed(model_of(plant, spreads_of(plant, spread)), plant.states[turns[0]],
                      [name not in fault_set for name in plant.sensors])

@@ -24,7 +24,6 @@ from vsensor_ros.functions.expression import (
     negate,
     Node,
     parse,
-    substitute,
     to_text,
 )
 from vsensor_ros.observers.kinds.extended.sensor import immersed_states, Model, on_circle
@@ -145,7 +144,7 @@ def _apart(node: Node, angle: str) -> tuple[int, Node | None] | None:
 
 
 def check(before: Model, after: Model) -> None:
-    """Hold the equations beside those given, at random points; raise BadInput where they differ."""
+    """Hold the equations beside those given at random points; raise BadInput where they differ."""
     random = np.random.default_rng(0)
     others = (*before.inputs, *before.unknown, *before.parameters)
     x, u = (random.uniform(-2.0, 2.0, (n, POINTS)) for n in (len(before.states), len(others)))
@@ -225,8 +224,8 @@ def _is_seen(found: Sequence[Node], model: Model, read: np.ndarray) -> bool:
         first = rows[~rows[:, [i for i in range(n) if i not in free]].any(axis=1)]
         if _sees(A, rows, model.states, set(on_circle(model.angle))) and _sees(
                 A[np.ix_(free, free)], first[:, free], [model.states[i] for i in free], given,
-                lambda values: (values.real < -LASTING).all() if model.sample_time is None
-                else (np.abs(values) < 1.0 - LASTING).all()):
+                lambda values: bool((values.real < -LASTING).all() if model.sample_time is None
+                                    else (np.abs(values) < 1.0 - LASTING).all())):
             return True
     return False
 
@@ -246,4 +245,4 @@ def _sees(A: np.ndarray, rows: np.ndarray, states: Sequence[str], wanted: set[st
     values, turned = np.linalg.svd(np.vstack([*seen, np.zeros((1, len(states)))]))[1:]
     hidden = turned[int((values > SEEN * values[0]).sum()):]
     parts = np.abs(hidden[:, [states.index(name) for name in wanted]])
-    return not (parts > APART).any() or dies_out(np.linalg.eigvals(hidden @ A @ hidden.T))
+    return not bool((parts > APART).any()) or dies_out(np.linalg.eigvals(hidden @ A @ hidden.T))

@@ -25,7 +25,7 @@ WHILE = 0.1  # s over which the mean of what sensors say beside what is expected
 MILD, LOST = 4.0, 25.0
 STALE = 1.5  # times what is between readings, or steps: then a reading is one no more
 FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
-ANYWHERE = math.pi / math.sqrt(3.0)  # rad, standard deviation of an angle of which nothing is known
+ANYWHERE = math.pi / math.sqrt(3.0)  # rad, deviation of an angle of which nothing is known
 NEARER = 5  # times that the first readings are taken to tell where an immersed model starts
 
 
@@ -88,7 +88,11 @@ class Filter:
         return found
 
     def start(self, told: Told) -> np.ndarray:
-        """Return the first states (R, k): what readings say of the start that is expected."""
+        """
+        Return the first states (R, k): what readings say of the start that is expected.
+
+        Readings (L,) are those of all; here and in `step` they may be (R, L), of each its own.
+        """
         R, n = len(self._reads), self._n
         x, P = np.tile(self._model.initial, (R, 1)), np.tile(np.diag(self._model.start**2),
                                                              (R, 1, 1))
@@ -103,14 +107,14 @@ class Filter:
     def step(self, z: np.ndarray, after: Told, commands: np.ndarray) -> np.ndarray:
         """Step the states (R, k) to readings at the end, by commands (3, m): see `Batch.step`."""
         x, P, X, mean, said, worst = np.split(z, self._cuts, axis=1)
-        x, (F, G, Q) = self._moved(x, commands)
-        P, X = self.spread_step(F, G, Q, P.reshape(len(z), self._n, self._n),
-                                X.reshape(len(z), self._n, self._p))
+        P = P.reshape(len(z), self._n, self._n)
+        x, (F, G, Q) = self._moved(x, commands, P)
+        P, X = self.spread_step(F, G, Q, P, X.reshape(len(z), self._n, self._p))
         return self._with(after.ages)._corrected(x, P, X, mean, said, worst[:, 0], after)
 
     def linear(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return F (1, n, n), G (1, n, p) and Q (1, n, n) of a step at a point."""
-        return self._matrices(self._equations.slopes(self._at(x[None], u))[1])
+        """Return F (1, n, n), G (1, n, p) and Q (1, n, n) of a step at a point that is known."""
+        return self._matrices(self._slopes(x[None], u, np.zeros((1, self._n, self._n)))[1])
 
     def spread_step(self, F: np.ndarray, G: np.ndarray, Q: np.ndarray, P: np.ndarray,
                     X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,8 +163,8 @@ class Filter:
         """Return what was read beside what is expected of states (R, n)."""
         y = told.y
         if self._model.angle:
-            angles = y[self._turning] / self._factors
-            y = np.concatenate([y, np.cos(angles), np.sin(angles)])
+            angles = y[..., self._turning] / self._factors
+            y = np.concatenate([y, np.cos(angles), np.sin(angles)], axis=-1)
         expected = x @ self._all.T
         if told.held.size:
             expected = expected + self._Cu @ told.held
@@ -170,7 +174,7 @@ class Filter:
         """Return the angles (R, 1) of states, next to what is read of them, or was said before."""
         cos, sin = self._model.circle
         for sensor, factor in zip(self._turning, self._factors):
-            said = np.where(self._reads[:, sensor:sensor + 1], told.y[sensor] / factor, said)
+            said = np.where(self._reads[:, sensor, None], told.y[..., sensor, None] / factor, said)
         return said + np.remainder(
             np.arctan2(x[:, sin], x[:, cos])[:, None] - said + np.pi, 2 * np.pi) - np.pi
 
@@ -180,38 +184,57 @@ class Filter:
         others = np.concatenate([u, np.zeros(len(m.unknown)), m.values])
         return np.concatenate([x.T, np.broadcast_to(others[:, None], (len(others), len(x)))])
 
-    def _moved(self, x: np.ndarray, commands: np.ndarray,
+    def _moved(self, x: np.ndarray, commands: np.ndarray, P: np.ndarray,
                ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return states (R, n) a step on, by Runge and Kutta, and its matrices, at the middle."""
         begin, end, mean = commands
         if self._discrete:
-            found, slopes = self._equations.slopes(self._at(x, mean))
+            found, slopes = self._slopes(x, mean, P)
             return found.T, self._matrices(slopes)
         f, h = self._equations, self._h
         k1 = f.values(self._at(x, begin)).T
         k2 = f.values(self._at(x + h / 2 * k1, mean)).T
-        k3, slopes = f.slopes(self._at(x + h / 2 * k2, mean))
+        k3, slopes = self._slopes(x + h / 2 * k2, mean, P)
         k4 = f.values(self._at(x + h * k3.T, end)).T
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3.T + k4), self._matrices(slopes)
 
+    def _slopes(self, x: np.ndarray, u: np.ndarray,
+                P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return values (n, R) and slopes (n, .., R) at states; of an angle (n, .., 3 R).
+
+        Noise on what drives an angle acts along a direction that is not known well: slopes a
+        deviation of cosine and sine beside the states are the second R, and the third.
+        """
+        if not self._model.angle:
+            return self._equations.slopes(self._at(x, u))
+        R, (c, s) = len(x), self._model.circle
+        first = np.sqrt(np.maximum(P[:, c, c], 0.0))
+        across = P[:, c, s] / np.where(first > 0.0, first, 1.0)
+        points = np.concatenate([x, x, x])
+        points[R:2 * R, c] += first
+        points[R:2 * R, s] += across
+        points[2 * R:, s] += np.sqrt(np.maximum(P[:, s, s] - across**2, 0.0))
+        found, slopes = self._equations.slopes(self._at(points, u))
+        return found[:, :R], slopes
+
     def _matrices(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return F, G and Q of derivatives (n, n + m + d + p, R)."""
+        """Return F, G and Q of derivatives (n, n + m + d + p, R), of an angle as in `_slopes`."""
         n, h = self._n, self._h
         slopes = slopes.transpose(2, 0, 1)
         A, drive, by = np.split(slopes, [n, slopes.shape[2] - self._p], axis=2)
         one = np.eye(n)
-        W = (drive * self._drive) @ _turned(drive) + np.diag(self._model.process_noise**2)
+        if self._model.angle:
+            drive, *beside = np.split(drive, 3)
+            A, by = A[:len(drive)], by[:len(drive)]
+            drive = np.concatenate([drive, *(other - drive for other in beside)], axis=2)
+        W = (drive * np.tile(self._drive, drive.shape[2] // max(1, len(self._drive)))
+             ) @ _turned(drive) + np.diag(self._model.process_noise**2)
         if self._discrete:
             return A, by, W
         AA = A @ A
         F, held = one + h * A + h * h / 2 * AA, h * one + h * h / 2 * A + h**3 / 6 * AA
         return F, held @ by, held @ W @ _turned(held) / h
-
-    def said(self, sensor: int, z: np.ndarray) -> np.ndarray:
-        """Return what a sensor reads (..) of the states (.., k), but for commands."""
-        m = self._model
-        found = z[..., :self._n] @ m.C[sensor]
-        return found + m.factors[sensor] * z[..., -2] if m.angle else np.asarray(found)
 
     def row(self, sensor: int, x: np.ndarray) -> np.ndarray:
         """Return the slopes (n,) of what a sensor reads at states (n,); infinite: not known."""
@@ -224,6 +247,16 @@ class Filter:
             row[[cos, sin]] = m.factors[sensor] * np.array([-x[sin], x[cos]]) / square \
                 if square else math.inf
         return row
+
+    def off_circle(self, z: np.ndarray) -> np.ndarray:
+        """Return by how many variances (R,) cosine and sine of (R, k) are off the circle."""
+        n, at = self._n, list(self._model.circle)
+        x, P = z[:, at], z[:, n:n + n * n].reshape(-1, n, n)[:, at][:, :, at]
+        radius = np.hypot(x[:, 0], x[:, 1])
+        along = np.where(radius[:, None] > 0.0, x, 1.0)
+        along = along / np.hypot(along[:, 0], along[:, 1])[:, None]
+        return np.asarray((1.0 - radius)**2 / np.maximum(
+            (along[:, None] @ P @ along[:, :, None])[:, 0, 0], FAINTEST))
 
     def deviation(self, row: np.ndarray, z: np.ndarray) -> float:
         """Return the standard deviation of row @ x (n,), of one state (k,)."""
