@@ -8,6 +8,7 @@ import pytest
 
 from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.extended import model_of, of_angle
 from vsensor_ros.designer.immersion import check, immersed
 from vsensor_ros.functions.equations import Equations
@@ -137,6 +138,15 @@ def test_it_is_handed_out_where_nothing_is_proved(made):
     assert 'linear in cosine and sine of heading' in said and 'heading as two' in said
     other = design(plant, [['compass']], extended=False)['compass', 'compass']
     assert not isinstance(other, ExtendedSensor)
+
+
+def test_that_it_wraps_should_be_said(plant_of):
+    plant = plant_of((', wrap: 4*pi', ''))
+    made = design(plant, [['compass']])
+    lines = advice(plant, made, None)
+    assert len(lines) == 1 and 'give it wrap: 12.5664' in lines[0]
+    wraps = plant_of()
+    assert not any('wrap' in line for line in advice(wraps, design(wraps, [['compass']]), None))
 
 
 def test_the_base_has_it_too_without_any_spread():

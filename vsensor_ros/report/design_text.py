@@ -33,9 +33,9 @@ UNITS_OF_TIME = ((1e3, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h')
 UNBROKEN = '\xa0'  # a space at which no line ends
 FILTERED = ('nothing is proved, from a wrong start it may stay wrong; its deviation is worked out '
             'on the machine, and nothing is served when healthy sensors contradict its model')
-IMMERSED = ('nothing is proved, but it needs no start: the equations are linear in cosine and sine of '
-            '{angle}, and tell them while these move what is read; while they do not, the deviation '
-            'grows, and at last nothing is served')
+IMMERSED = ('nothing is proved, but it needs no start: the equations are linear in cosine and '
+            'sine of {angle}, which is told while these move what is read; while they do not, its '
+            'deviation grows, and at last nothing is served')
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
 UNPROVED = 'by a filter of which nothing is proved'
 VERDICTS = ('yes', 'bounded', 'filtered', 'temporary', 'no')

@@ -11,7 +11,12 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.batch import Batch, StepOfSome, Told, Tracked
-from vsensor_ros.observers.kinds.extended.filter import ANYWHERE, Filter, LOST
+from vsensor_ros.observers.kinds.extended.filter import (
+    ANYWHERE,
+    Filter,
+    LOST,
+    MILD,
+)
 from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
 from vsensor_ros.reason import add_sentences, Reason
 
@@ -19,8 +24,9 @@ add_sentences({'model lost': 'the healthy sensors say {size:.2g} times what the 
                'of them, at most {limit:g}'})
 
 # rad of deviation: of an angle that is less sure nothing is known. Standing bases with noisy
-# odometry, never told where they head, thought it surer than 0.2 never, than 0.3 in 0.2 % of the time
-KNOWN = 0.25
+# odometry, never told where they head, thought it surer than this in 0.05 % of the time, than
+# 0.3 in 0.8 %
+KNOWN = 0.2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,7 +105,7 @@ class ExtendedBatch(Batch):
         found = self.filter.deviation(self.filter.row(own, z), z)
         if not self.model.angle:
             return found
-        found *= math.sqrt(max(1.0, float(self.filter.off_circle(z[None])[0])))
+        found *= math.sqrt(max(1.0, float(self.filter.off_circle(z[None])[0]) / MILD))
         return found if self._is_known(output, found) else \
             ANYWHERE * abs(float(self.model.factors[own]))
 
@@ -113,9 +119,9 @@ class ExtendedBatch(Batch):
 
         Of an angle that of the loss: where it comes to rest its covariance grows, and tells.
         """
-        drift = self.drifts[i]
+        drift: np.ndarray = self.drifts[i]
         if self.model.angle:
-            return np.full(np.shape(ages), drift[0])
+            return np.full(np.shape(ages), float(drift[0]))
         settled = drift[-1] <= 1.05 * np.interp(self.ages[i][-1] / 2, self.ages[i], drift)
         return np.asarray(np.interp(ages, self.ages[i], drift,
                                     right=drift[-1] if settled else np.inf))
@@ -130,8 +136,8 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
                        'design them together')
     healthy = np.array([[name in e.reads for name in sensors] for e in entries], dtype=bool)
     angle = bool(model.angle)
-    tells = model.C.any(axis=1) | (model.factors != 0.0 if angle else False)
-    tracked = [[name in e.reads or (name in e.fault_set and bool(tells[i]))
+    told = np.column_stack([model.C, *[model.factors] * angle])
+    tracked = [[name in e.reads or (name in e.fault_set and bool(told[i].any()))
                 for i, name in enumerate(sensors)] for e in entries]
     commands = np.array([[name in e.commands for name in design.inputs] for e in entries],
                         dtype=bool).reshape(V, len(design.inputs))
