@@ -223,13 +223,13 @@ class Filter:
         n, h = self._n, self._h
         slopes = slopes.transpose(2, 0, 1)
         A, drive, by = np.split(slopes, [n, slopes.shape[2] - self._p], axis=2)
-        one = np.eye(n)
+        one, driven = np.eye(n), self._drive
         if self._model.angle:
             drive, *beside = np.split(drive, 3)
             A, by = A[:len(drive)], by[:len(drive)]
             drive = np.concatenate([drive, *(other - drive for other in beside)], axis=2)
-        W = (drive * np.tile(self._drive, drive.shape[2] // max(1, len(self._drive)))
-             ) @ _turned(drive) + np.diag(self._model.process_noise**2)
+            driven = np.tile(driven, 3)
+        W = (drive * driven) @ _turned(drive) + np.diag(self._model.process_noise**2)
         if self._discrete:
             return A, by, W
         AA = A @ A
