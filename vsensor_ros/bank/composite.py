@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,15 +28,15 @@ def batch_of(design: Design, period: float, Cu: np.ndarray | None) -> Batch:
 
     Cu (L, m): what is taken out of each reading; None: nothing.
     """
-    by_kind: dict[str, list[Entry]] = {}
+    groups: dict[tuple[str, Hashable], list[Entry]] = {}
     for entry in design.each_once():
         if not isinstance(entry, Refusal):
             if entry.kind not in kind_names():
                 raise BadInput('', 'kind', f'{entry.kind:.80} is not one of '
                                f'{", ".join(kind_names())}', 'register the kind')
-            by_kind.setdefault(entry.kind, []).append(entry)
+            groups.setdefault((entry.kind, kind_named(entry.kind).alike(entry)), []).append(entry)
     parts = [kind_named(name).batch(entries, design, period, Cu)
-             for name, entries in by_kind.items()]
+             for (name, _), entries in groups.items()]
     return parts[0] if len(parts) == 1 else _composed(
         parts, len(design.sensors), len(design.inputs))
 

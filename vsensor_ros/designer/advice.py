@@ -37,7 +37,7 @@ def advice(plant: Plant, design: Design, again: Again) -> tuple[str, ...]:
     again: designs one fault set of another plant, to see what something costs.
     """
     lines = [*_beyond_ranges(plant), *_steep(plant), *_unbalanced(plant),
-             *_spread_readings(plant, design)]
+             *_spread_readings(plant, design), *_turns(design)]
     for (fault_set, channel), entry in design.entries.items():
         if not isinstance(entry, VirtualSensor) or entry.noise is None or \
                 entry.grade == 'temporary':
@@ -90,6 +90,18 @@ def _spread_readings(plant: Plant, design: Design) -> Iterator[str]:
                 yield (f'the spread of {name} is not counted with in what {sensor} reads '
                        f'({size_there} at the operating point): filters are off by more than '
                        'they say; make it part of the noise, or a slow state')
+
+
+def _turns(design: Design) -> Iterator[str]:
+    """Find angles as cosine and sine, which know no turns, whose sensors are not said to wrap."""
+    wraps = {name for turns in design.wrap for name in turns}
+    for entry in design.virtual_sensors:
+        if isinstance(entry, ExtendedSensor) and entry.model.angle and \
+                entry.channel not in wraps:
+            turn = abs(float(entry.model.factors[design.sensors.index(entry.channel)]))
+            yield (f'{entry.channel}: cosine and sine of {entry.model.angle} do not tell whole '
+                   f'turns, and it is not said that it wraps: give it wrap: {2 * np.pi * turn:.6g}'
+                   f'{" (2*pi)" if turn == 1.0 else ""}')
 
 
 def _steep(plant: Plant) -> Iterator[str]:

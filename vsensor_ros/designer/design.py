@@ -26,7 +26,7 @@ from vsensor_ros.designer.existence import (
     Existence,
     measured_signs,
 )
-from vsensor_ros.designer.extended import extended as filtered
+from vsensor_ros.designer.extended import extended as filtered, of_angle
 from vsensor_ros.designer.fault_size import sized
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.noise import usual_decay
@@ -91,7 +91,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     after its channel was lost. ``scheduled``: where nothing is proved where it works, hand out one
     whose injection follows the readings, if that is proved over the declared ranges.
     ``extended``: where that is not proved either, and the plant states how far off its parameters
-    may be, hand out a Kalman filter on the equations, of grade 'filtered'. ``spread``: how far off
+    may be, or the channel is an angle of which cosine and sine are seen, hand out a Kalman filter
+    on the equations, of grade 'filtered'. ``spread``: how far off
     those parameters are of which the plant says nothing, one standard deviation, as a share of
     their values. ``isolate``: design, too, what tells whose fault it is and how large, see
     ``Design.isolability`` and ``Design.fault_sizes``. ``progress`` is told what is done, of how
@@ -221,7 +222,8 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
             if over is not None:
                 found = _not_scheduled(found, over)
         if choices.extended:
-            instead = filtered(plant, fault_set, channel, choices.spread)
+            instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
+                plant, fault_set, channel, choices.spread)
             if instead is not None:
                 return replace(instead, why=_why(found))
         return found if lost is not None else part.entry_of_whole(found)

@@ -14,10 +14,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.immersion import immersed
 from vsensor_ros.designer.noise import INTERVAL
 from vsensor_ros.functions.expression import fold, parse, substitute, to_text
 from vsensor_ros.observers import ExtendedSensor, Model
-from vsensor_ros.observers.kinds.extended.filter import Filter
+from vsensor_ros.observers.kinds.extended.filter import ANYWHERE, Filter
 from vsensor_ros.observers.kinds.extended.section import check_equation
 from vsensor_ros.plant import Plant
 
@@ -35,27 +36,60 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
     spreads, all noise, equations without jumps, and readings free of unknown inputs.
     """
     spreads = spreads_of(plant, spread)
-    if channel not in fault_set or not plant.equations or not spreads or \
-            plant.Cd.any() or \
-            not plant.C[plant.sensors.index(channel)].any() or \
+    if not spreads or not _is_told(plant, fault_set, channel) or \
+            not plant.C[plant.sensors.index(channel)].any():
+        return None
+    return _entry(plant, fault_set, channel, model_of(plant, spreads))
+
+
+def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,
+             spread: float | None = None) -> ExtendedSensor | None:
+    """
+    Return a filter for an angle that only cosine and sine have part in; None where it is not so.
+
+    It needs no spreads: its states say where it is from whatever start.
+    """
+    if not _is_told(plant, fault_set, channel):
+        return None
+    turns = np.flatnonzero(plant.C[plant.sensors.index(channel)])
+    if len(turns) != 1:
+        return None
+    model = immersed(model_of(plant, spreads_of(plant, spread)), plant.states[turns[0]],
+                     [name not in fault_set for name in plant.sensors])
+    return None if model is None else _entry(plant, fault_set, channel, model)
+
+
+def _is_told(plant: Plant, fault_set: tuple[str, ...], channel: str) -> bool:
+    """Tell whether a plant tells all that a filter on its equations needs."""
+    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
+    if channel not in fault_set or not plant.equations or plant.Cd.any() or \
             not all(np.isfinite(noise).all() for noise in (
                 plant.noise, plant.process_noise, plant.disturbance_noise)) or \
             not plant.noise.all():
-        return None
-    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
+        return False
     try:
         for text in plant.equations:
             check_equation(text, names, plant.name, 'dynamics')
     except BadInput:  # a jump, or too long to be written
-        return None
-    model = model_of(plant, spreads)
+        return False
+    return True
+
+
+def _entry(plant: Plant, fault_set: tuple[str, ...], channel: str,
+           model: Model) -> ExtendedSensor | None:
+    """Return the filter of a model, and how it goes on after the loss at the operating point."""
+    tracks = model.C.any(axis=1) | (model.factors != 0.0 if model.angle else False)
     reads = np.array([bool(row.any()) and name not in fault_set
-                      for name, row in zip(plant.sensors, plant.C)])
-    tracks = plant.C.any(axis=1)
-    own = plant.C[plant.sensors.index(channel)]
+                      for name, row in zip(plant.sensors, model.C)])
     period = plant.sample_time or INTERVAL
     filter_ = Filter(model, period, np.array([tracks, reads]), np.zeros((2, len(reads)), bool))
-    step = filter_.linear(plant.operating_point, plant.operating_input)
+    point = plant.operating_point
+    if model.angle:
+        at = plant.states.index(model.angle)
+        point = np.append(point, np.sin(point[at]))
+        point[at] = np.cos(point[at])
+    own = filter_.row(plant.sensors.index(channel), point)
+    step = filter_.linear(point, plant.operating_input)
     P, X = np.diag(model.start**2)[None], np.zeros((1, len(model.states), len(model.parameters)))
 
     def after(one: Filter, P: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -72,9 +106,11 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
             ages.append(k * period)
             drift.append(float(own @ P[0] @ own))
     deviations = np.sqrt(np.maximum(drift, 0.0))
+    if model.angle:
+        deviations = np.minimum(deviations, ANYWHERE * np.abs(own).max())
     if not np.isfinite(deviations).all():
         return None
-    left = np.eye(len(model.states)) - free.gain(P)[0][0] @ (plant.C * reads[:, None])
+    left = free.after(free.gain(P)[0])[0]
     slowest = float(np.abs(np.linalg.eigvals(left @ step[0][0])).max())
     return ExtendedSensor(
         channel, fault_set, tuple(s for s, read in zip(plant.sensors, reads) if read), model,

@@ -34,6 +34,9 @@ UNITS_OF_TIME = ((1e3, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h')
 UNBROKEN = '\xa0'  # a space at which no line ends
 FILTERED = ('nothing is proved, from a wrong start it may stay wrong; its deviation is worked out '
             'on the machine, and nothing is served when healthy sensors contradict its model')
+IMMERSED = ('nothing is proved, but it needs no start: the equations are linear in cosine and '
+            'sine of {angle}, which is told while these move what is read; while they do not, its '
+            'deviation grows, and at last nothing is served')
 COUNTS = {1: 'one', 2: 'two', 3: 'three', 4: 'four', 5: 'five'}
 UNPROVED = 'by a filter of which nothing is proved'
 VERDICTS = ('yes', 'bounded', 'filtered', 'temporary', 'no')
@@ -323,10 +326,13 @@ def certified(entry: Entry) -> str:
 def facts(entry: Entry, unit: str, units: Mapping[str, str]) -> list[tuple[str, str]]:
     """Say what there is to say of a virtual sensor of any kind: names and texts."""
     if isinstance(entry, ExtendedSensor):
-        said = [('order', f'{entry.order}, the states of the plant'),
+        angle = entry.model.angle
+        said = [('order', f'{entry.order}, the states of the plant'
+                 + (f', {angle} as two' if angle else '')),
                 ('good', grows(entry, unit)), ('tried', tried(entry, unit)),
                 ('decay', decay(entry)), ('reads', reads(entry)), ('found as', entry.method),
-                ('stability', FILTERED), ('why a filter', entry.why)]
+                ('stability', IMMERSED.format(angle=angle) if angle else FILTERED),
+                ('why a filter', entry.why)]
         return [(name, text) for name, text in said if text]
     if isinstance(entry, ScheduledSensor):
         return [('order', f'{entry.order} (nothing proved of the least)'),

@@ -7,7 +7,7 @@ file makes a `Kind` of them and registers it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,8 @@ class Kind:
     # makes a batch of all entries of this kind, their design, the period of the steps [s], and
     # the gains (L, m) of the commands that the bank takes out of each reading; None: none
     batch: Callable[[Sequence[Any], Contents, float, np.ndarray | None], Batch]
+    # returns in what entries are alike that are put into one batch
+    alike: Callable[[Any], Hashable] = lambda entry: None
 
 
 _KINDS: dict[str, Kind] = {}

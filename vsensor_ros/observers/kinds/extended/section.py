@@ -12,7 +12,12 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import Apply, function_of, parse, walk
 from vsensor_ros.observers.checked_json import CheckedObject
 from vsensor_ros.observers.contents import Contents
-from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model, Tried
+from vsensor_ros.observers.kinds.extended.sensor import (
+    ExtendedSensor,
+    immersed_states,
+    Model,
+    Tried,
+)
 
 _LARGEST = 1e75  # so that its square is a number
 _VECTORS = ('process_noise', 'input_noise', 'unknown_noise', 'noise', 'lasts', 'initial', 'start')
@@ -27,6 +32,7 @@ def write_section(entry: ExtendedSensor) -> dict[str, Any]:
         'equations': list(m.equations), 'unknown': list(m.unknown),
         **({'why': entry.why} if entry.why else {}),
         **({'tried': vars(entry.tried)} if entry.tried else {}),
+        **({'angle': {'state': m.angle, 'factors': m.factors.tolist()}} if m.angle else {}),
         'parameters': [{'name': name, 'value': value, 'spread': spread} for name, value, spread
                        in zip(m.parameters, m.values.tolist(), m.spreads.tolist())],
         **{key: getattr(m, key).tolist() for key in (*_VECTORS, 'C', 'Cu')}}
@@ -36,19 +42,22 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                  version: int) -> ExtendedSensor:
     """Read what write_section wrote; raises BadInput."""
     reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
-                 'parameters', *_VECTORS, 'C', 'Cu', 'why', 'tried'))
+                 'parameters', *_VECTORS, 'C', 'Cu', 'why', 'angle',
+                 'tried'))
     reads = reader.names('reads')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
     if channel not in fault_set:
         raise reader.fail('channel', f'{channel} is not a sensor of its fault set')
-    n, m, L = len(plant.states), len(plant.inputs), len(plant.sensors)
+    angle, factors = _angle(reader, plant)
+    states = immersed_states(plant.states, angle) if angle else plant.states
+    n, m, L = len(states), len(plant.inputs), len(plant.sensors)
     unknown, items = reader.names('unknown'), reader.objects('parameters')
     for item in items:
         item.only(('name', 'value', 'spread'))
     parameters = CheckedObject(reader.path, f'{reader.place}parameters.', {
         'name': [item.text('name') for item in items]}).names('name')
-    known = (*plant.states, *plant.inputs, *unknown, *parameters)
+    known = (*states, *plant.inputs, *unknown, *parameters)
     if len(set(known)) < len(known):
         raise reader.fail('parameters', 'have a name that stands for something else')
     equations = reader.texts('equations')
@@ -72,12 +81,21 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     drift = reader.array('drift', len(ages))
     if (drift < 0.0).any():
         raise reader.fail('drift', 'must not be negative')
-    model = Model(plant.states, plant.inputs, equations, unknown, parameters,
+    model = Model(states, plant.inputs, equations, unknown, parameters,
                   np.array([item.number('value') for item in items]),
                   np.array([item.size('spread') for item in items]),
                   C=reader.array('C', L, n), Cu=reader.array('Cu', L, m),
-                  sample_time=plant.sample_time, **vectors)
-    if not model.C[plant.sensors.index(channel)].any():
+                  sample_time=plant.sample_time, angle=angle, factors=factors, **vectors)
+    own = plant.sensors.index(channel)
+    if angle:
+        if not factors[own]:
+            raise reader.fail('angle', f'is not what {channel} reads')
+        turning = [name for name, factor in zip(plant.sensors, factors) if factor]
+        if model.C[factors != 0.0].any() or model.Cu[factors != 0.0].any():
+            raise reader.fail('angle', 'is read by sensors together with something else')
+        if not set(reads).isdisjoint(turning):
+            raise reader.fail('reads', f'names a sensor of the angle {angle}')
+    elif not model.C[own].any():
         raise reader.fail('C', f'tells nothing of {channel}')
     return ExtendedSensor(channel, fault_set, reads, model, reader.size('decay'),
                           reader.size('warm_up'), ages, drift,
@@ -93,6 +111,22 @@ def _tried(reader: CheckedObject) -> Tried:
             raise found.fail(share, 'is no share')
     return Tried(found.whole('runs'), *(found.size(key) for key in (
         'seconds', 'rmse', 'within', 'lost', 'served')))
+
+
+def _angle(reader: CheckedObject, plant: Contents) -> tuple[str, np.ndarray]:
+    """Read which state is an angle that the model has as cosine and sine; '' if there is none."""
+    if 'angle' not in reader.record:
+        return '', np.zeros(0)
+    inner = reader.object('angle')
+    inner.only(('state', 'factors'))
+    angle = inner.text('state')
+    if angle not in plant.states:
+        raise inner.fail('state', 'is not a state')
+    factors = inner.array('factors', len(plant.sensors))
+    if not ((factors == 0.0) | (np.abs(factors) > 1.0 / _LARGEST)).all() or \
+            (np.abs(factors) > _LARGEST).any():
+        raise inner.fail('factors', 'has a number that is too small or too large')
+    return angle, factors
 
 
 def check_equation(text: str, known: Sequence[str], where: object, key: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -37,11 +37,20 @@ class Model:
     initial: np.ndarray  # (n,) the start before anything was read,
     start: np.ndarray  # (n,) and its standard deviation
     sample_time: float | None  # s; None: continuous
+    # a state of the plant that is an angle, of which these states are cosine and sine; '': none
+    angle: str = ''
+    # (L,) of the angle in what sensors read, and of nothing else there; (0,): there is none
+    factors: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
+
+    @property
+    def circle(self) -> tuple[int, int]:
+        """Indices of the cosine and the sine of the angle."""
+        return tuple(self.states.index(name) for name in on_circle(self.angle))  # type: ignore
 
     def same(self, other: Model) -> bool:
         """Tell whether another is equal."""
@@ -61,13 +70,23 @@ class Tried:
     served: float  # share of the time in the ranges
 
 
+def on_circle(angle: str) -> tuple[str, str]:
+    """Return the names of the states that are cosine and sine of an angle."""
+    return f'cos_{angle}', f'sin_{angle}'
+
+
+def immersed_states(states: tuple[str, ...], angle: str) -> tuple[str, ...]:
+    """Return states with the cosine in place of an angle, and the sine as the last."""
+    cos, sin = on_circle(angle)
+    return (*(cos if name == angle else name for name in states), sin)
+
+
 @dataclass(frozen=True, eq=False)
 class ExtendedSensor:
     """A Kalman filter that says what a failed sensor would have said."""
 
     kind: ClassVar[str] = 'extended'
     grade: ClassVar[str] = 'filtered'
-    method: ClassVar[str] = 'extended Kalman filter, uncertain parameters considered'
     noise = proof = certificate = None
 
     channel: str
@@ -85,6 +104,13 @@ class ExtendedSensor:
     def outputs(self) -> tuple[str, ...]:
         """Name of what it says."""
         return (self.channel,)
+
+    @property
+    def method(self) -> str:
+        """What it is."""
+        return 'extended Kalman filter, ' + (
+            'the angle as cosine and sine' if self.model.angle else
+            'uncertain parameters considered')
 
     @property
     def order(self) -> int:
