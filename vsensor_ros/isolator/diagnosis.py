@@ -61,8 +61,8 @@ class Diagnosis:
         known = sum(self.found)
         # who was found stays, as long as that is as likely as anything else
         sets = [mask for mask in sets if mask & known == known] or sets
-        erring = bool(self.conflicts) and not known and time - self._excused <= ANEW
-        self.model = not self.direct and (erring or self._all_at_once(time, running, sets))
+        self.model = self._errs_again(time) or not self.direct and self._all_at_once(
+            time, running, sets)
         if self.model or not sets:
             self.model = True
             blamed = {s for s, since in self.found.items() if time - since > AT_ONCE}
@@ -82,6 +82,12 @@ class Diagnosis:
             return False
         broken = [check in self.conflicts for check in np.flatnonzero(running)]
         return all(broken) and time - min(self.conflicts.values()) <= AT_ONCE
+
+    def _errs_again(self, time: float) -> bool:
+        """Tell whether the model was blamed lately, and what alarms has no other reason."""
+        reasons = sum(self.found.keys() | self.direct.keys())
+        return time - self._excused <= ANEW and any(
+            not self.supports[check] & reasons for check in self.conflicts)
 
     def forgive(self, sensor: int, time: float, running: Bools) -> list[int]:
         """Believe a sensor again; return the checks whose conflicts it has taken along."""
