@@ -126,22 +126,16 @@ class Fleet:
         now = self.ticks * PERIOD
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
-            excusable = self._excusable(m)
+            excusable = diagnosis.excusable()
             diagnosis.update(now, self.alarms[m], running[m],
                              [1 << int(j) for j in np.flatnonzero(self.direct[m])])
             if not diagnosis.stands:
-                self._admit(excusable)
+                self._admit(m, excusable)
             (self.busy.add if diagnosis.stands else self.busy.discard)(m)
 
-    def _excusable(self, machine: int) -> NDArray[np.int64]:
-        """Return which columns alarm while no sensor is to blame, but the model."""
-        first = machine * len(self.checks)
-        return first + self.diagnoses[machine].excusable(
-            lambda checks: self.watch.detector.admitted(first + checks))
-
-    def _admit(self, columns: NDArray[np.int64]) -> None:
-        if columns.size:
-            self.watch.detector.admit(columns)
+    def _admit(self, machine: int, checks: NDArray[np.int64]) -> None:
+        if checks.size:
+            self.watch.detector.admit(machine * len(self.checks) + checks)
 
     def healthy(self, seconds: float) -> list[tuple[float, int, str]]:
         """Run without faults; return each time that somebody was blamed or the model was."""
@@ -156,10 +150,13 @@ class Fleet:
                          if d.candidates else '')
                 if state and known.get(m) != state:
                     told.append((self.ticks * PERIOD, m, state))
-                    if state == 'model':
-                        self._admit(self._excusable(m))
                     if state != 'suspected':  # whoever looks after it says that it is healthy
-                        self.diagnoses[m] = Diagnosis(self.supports)
+                        excusable = d.excusable()
+                        if excusable.size:
+                            self._admit(m, excusable)
+                            d.dismiss(self.ticks * PERIOD)
+                        else:
+                            self.diagnoses[m] = Diagnosis(self.supports)
                         self.busy.discard(m)
                         r = len(self.checks)
                         self.watch.detector.restart(np.arange(m * r, (m + 1) * r))

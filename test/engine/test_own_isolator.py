@@ -192,6 +192,17 @@ def test_a_reset_forgets_whom_it_blamed(found):
     assert run.channel('y2').source == 'real'
 
 
+def test_a_reset_believes_the_model_again_and_learns_from_it(found):
+    run = Run(found)
+    run.go_on(15.0)
+    run.go_on(1.0, lambda readings, time: readings + np.array([0.5, -0.5, 0.5]))
+    assert run.engine.verdict.state == 'model'
+    before = run.engine._own._isolator.watch.detector.thresholds.copy()
+    run.engine.reset()
+    assert run.engine.verdict.state == 'healthy'
+    assert (run.engine._own._isolator.watch.detector.thresholds >= 1.4 * before).all()
+
+
 def test_advice_replaces_nobody(found):
     run = Run(found, 'advise')
     run.go_on(15.0)

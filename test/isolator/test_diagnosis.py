@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vsensor_ros.isolator.diagnosis import AT_ONCE, Diagnosis, FORGOTTEN
+from vsensor_ros.isolator.diagnosis import ANEW, AT_ONCE, Diagnosis, FORGOTTEN
 from vsensor_ros.isolator.recovery import Recovery
 
 A, B, C, D = 1, 2, 4, 8
@@ -69,3 +69,24 @@ def test_a_sensor_comes_back_by_a_jump_and_stays_for_the_dwell():
     assert not any(Recovery(dwell=2.0).step(0.1 * k, 0.0, False, False) for k in range(100))
     hidden = Recovery(dwell=2.0)  # nobody sees it come back
     assert not any(hidden.step(0.1 * k, None, True, True) for k in range(100))
+
+
+def test_what_blamed_the_model_blames_no_sensor_for_a_while_when_that_is_over():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 1, 2, 3)
+    assert diagnosis.excusable().tolist() == [0, 1, 2, 3]
+    diagnosis.dismiss(2.0)
+    assert not diagnosis.model and not diagnosis.stands
+    tell(diagnosis, 3.0, 0, 2)
+    assert diagnosis.model and not diagnosis.found and diagnosis.excusable().tolist() == [0, 2]
+    tell(diagnosis, 4.0, direct=[D])
+    assert set(diagnosis.found) == {D} and not diagnosis.excusable().size
+    later = tell(Diagnosis(SUPPORTS), 1.0, 0, 1, 2, 3)
+    tell(later, 2.0 + FORGOTTEN)
+    assert not later.model and not later.stands
+    tell(later, 3.0 + FORGOTTEN + ANEW, 0, 2)
+    assert set(later.found) == {A} and not later.excusable().size
+
+
+def test_a_blamed_sensor_excuses_nothing():
+    diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 2)
+    assert set(diagnosis.found) == {A} and not diagnosis.excusable().size

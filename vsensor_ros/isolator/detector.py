@@ -198,10 +198,6 @@ class Detector:
         self.taught[:, columns] = wider.transpose(2, 1, 0, 3).reshape(TESTS, -1)[:, columns]
         self.refresh(columns)
 
-    def admitted(self, columns: NDArray[np.int64]) -> bool:
-        """Tell whether all of these were ever taken for healthy when they alarmed."""
-        return bool(np.isfinite(self.taught[0, columns]).all())
-
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""
         self.filled[columns] = 0

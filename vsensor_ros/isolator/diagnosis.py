@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from vsensor_ros.isolator.conflicts import bits, least_hitting_sets
 from vsensor_ros.isolator.detector import Bools
 
 AT_ONCE = 5.0  # s within which all alarms together mean the model, and no sensor
+ANEW = 300.0  # s after a verdict of the model has ended, in which alarms are the model's, too
 FORGOTTEN = 10.0  # s without an alarm, after which conflicts that blamed nobody are over
 
 
@@ -29,6 +30,7 @@ class Diagnosis:
         self.candidates: tuple[int, ...] = ()  # sets that explain all, when there are several
         self.model = False
         self._last = -np.inf  # alarm
+        self._excused = -np.inf  # the last end of a verdict that blamed the model
 
     @property
     def stands(self) -> bool:
@@ -48,6 +50,8 @@ class Diagnosis:
         if new:
             self._judge(time, running)
         elif self.conflicts and not self.found and time - self._last > FORGOTTEN:
+            if self.model:
+                self._excused = time
             self.conflicts.clear()
             self._judge(time, running)
 
@@ -57,7 +61,8 @@ class Diagnosis:
         known = sum(self.found)
         # who was found stays, as long as that is as likely as anything else
         sets = [mask for mask in sets if mask & known == known] or sets
-        self.model = not self.direct and self._all_at_once(time, running, sets)
+        self.model = self._errs_again(time) or not self.direct and self._all_at_once(
+            time, running, sets)
         if self.model or not sets:
             self.model = True
             blamed = {s for s, since in self.found.items() if time - since > AT_ONCE}
@@ -78,6 +83,12 @@ class Diagnosis:
         broken = [check in self.conflicts for check in np.flatnonzero(running)]
         return all(broken) and time - min(self.conflicts.values()) <= AT_ONCE
 
+    def _errs_again(self, time: float) -> bool:
+        """Tell whether the model was blamed lately, and what alarms has no other reason."""
+        reasons = sum(self.found.keys() | self.direct.keys())
+        return time - self._excused <= ANEW and any(
+            not self.supports[check] & reasons for check in self.conflicts)
+
     def forgive(self, sensor: int, time: float, running: Bools) -> list[int]:
         """Believe a sensor again; return the checks whose conflicts it has taken along."""
         gone = [check for check in self.conflicts if self.supports[check] & sensor]
@@ -87,18 +98,12 @@ class Diagnosis:
         self._judge(time, running)
         return gone
 
-    def excusable(self, before: Callable[[NDArray[np.int64]], bool]) -> NDArray[np.int64]:
-        """
-        Return the checks of the conflicts, if no sensor is blamed, but the model; else none.
+    def excusable(self) -> NDArray[np.int64]:
+        """Return the checks of the conflicts, if the model is blamed and no sensor; else none."""
+        checks = sorted(self.conflicts) if self.model and not self.found else []
+        return np.array(checks, dtype=np.int64)
 
-        A suspicion counts, too, when before(checks): they were excused before.
-        """
-        checks = np.array(sorted(self.conflicts), dtype=np.int64)
-        if self.found or self.direct or not (self.model or checks.size and before(checks)):
-            return checks[:0]
-        return checks
-
-    def dismiss(self) -> None:
+    def dismiss(self, time: float) -> None:
         """End a verdict that blames the model."""
-        self.model = False
+        self.model, self._excused = False, time
         self.conflicts.clear()

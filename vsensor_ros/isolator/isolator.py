@@ -132,9 +132,9 @@ class Isolator:
             raise KeyError(f'{sensor}: no such sensor; there are {", ".join(self.sensors)}')
         if self._time is not None:
             j = self.sensors.index(sensor)
-            checks = self._excusable()
-            if checks.size and self._diagnosis.model:  # so says who looked after it
-                self._diagnosis.dismiss()
+            checks = self._diagnosis.excusable()
+            if checks.size:  # so says who looked after it
+                self._diagnosis.dismiss(self._lasting(self._time))
                 self._admit(checks)
             else:
                 self._forgive(j, self._time)
@@ -151,7 +151,7 @@ class Isolator:
             if not (kept.max(initial=0.0) < LARGEST and kept.min(initial=0.0) > -LARGEST):
                 kept[~(np.abs(kept) < LARGEST)] = np.nan
         healthy = not diagnosis.stands
-        excusable = self._excusable() if diagnosis.conflicts else None
+        excusable = diagnosis.excusable() if diagnosis.model else None
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
         if diagnosis.stands or direct or np.count_nonzero(alarms):
@@ -238,10 +238,6 @@ class Isolator:
         gone = self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
         self.watch.detector.restart(np.array(gone, dtype=np.int64))
         self._known.pop(j, None)
-
-    def _excusable(self) -> NDArray[np.int64]:
-        """Return the checks that alarm, if no sensor is to blame, but the model, now or before."""
-        return self._diagnosis.excusable(self.watch.detector.admitted)
 
     def _admit(self, checks: NDArray[np.int64]) -> None:
         """Learn from alarms for which no sensor was to blame, and which are over."""
