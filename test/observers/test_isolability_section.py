@@ -65,6 +65,14 @@ def test_residuals_say_whom_they_tell_from_whom():
     assert [r.shows('y3') for r in (y2, y3)] == [WEAK, WEAK] and y3.shows('y1') == NONE
 
 
+def test_residuals_say_whose_motion_is_in_them():
+    def motion(channel, *gains):
+        return Residual('', (), channel, ('a', 'b'), gains, 1.0, 5.0).motion()
+    assert motion('a', 1.0, -0.5) == motion('a', None, 0.5) == {'a': 1.0}
+    assert motion('a', 0.0, -0.5) == {'a': 0.0, 'b': 0.5}  # a corrects it
+    assert motion('without c', -2.0, None) == {'a': 2.0, 'b': 0.0}
+
+
 def test_the_observers_of_the_residuals_are_a_design_of_their_own(path):
     stack = Design.load(path).isolating()
     assert set(stack.entries) == {(('y2',), 'y2'), (('y3',), 'y3'), (('y1',), 'without y1')}
