@@ -54,6 +54,7 @@ class Said(NamedTuple):
     arrival: float              # s, monotonic
     state: str
     kinds: Mapping[str, str]    # of fault, by sensor that is blamed
+    learning: float = math.inf  # s until it knows enough of the healthy machine
 
 
 @dataclass
