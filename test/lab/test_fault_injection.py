@@ -30,7 +30,15 @@ from vsensor_ros.lab.injection.suite import (
     TRIES,
 )
 from vsensor_ros.lab.injection.truth import compute_truth
-from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
+from vsensor_ros.lab.injection.verdict import (
+    Evidence,
+    handovers_of,
+    judge,
+    Out,
+    path_of,
+    Stated,
+    StatusHeard,
+)
 from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.node.accessor import get_stamp, put_stamp
 from vsensor_ros.plant import load_plant
@@ -411,6 +419,11 @@ def test_paths():
     told = [StatusHeard(0.0, {'y': {'source': source}}) for source in (
         'real', 'silent', 'real', 'virtual', 'virtual', 'none', 'real')]
     assert path_of(told, 'y') == ['real', 'virtual', 'none', 'real']
+    assert handovers_of(told, 'y') == 0
+    told = [StatusHeard(0.0, {'y': {'source': source, 'fault_set': which}}) for source, which in (
+        ('real', ''), ('virtual', 'y, z'), ('virtual', 'y, z'), ('virtual', 'y'), ('none', 'y'),
+        ('virtual', 'y, z'), ('real', ''))]
+    assert handovers_of(told, 'y') == 1
 
 
 def test_what_came_late_was_said_in_time(truth):

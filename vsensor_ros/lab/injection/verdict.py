@@ -116,6 +116,13 @@ def path_of(told: Sequence[StatusHeard], name: str) -> list[str]:
     return path
 
 
+def handovers_of(told: Sequence[StatusHeard], name: str) -> int:
+    """Return how often one virtual sensor of a channel took over from another."""
+    served = [(facts.get('source'), facts.get('fault_set'))
+              for status in told if (facts := status.facts.get(name))]
+    return sum(a[0] == b[0] == 'virtual' and a[1] != b[1] for a, b in zip(served, served[1:]))
+
+
 def switches_of(facts: Mapping[str, Mapping[str, str]], name: str) -> int:
     """Return how often a channel has switched, as a status says; 0 when it does not."""
     text = facts.get(name, {}).get('switches', '0')
