@@ -48,17 +48,16 @@ class AloneContext(CaseContext):
         self.machine.faulty &= self.machine.verdict.kinds.keys()
         self.machine.heard.said.append(self.machine.verdict._replace(arrival=time.monotonic()))
         self.injected: list[Injected] = []
+        self.found: list[Found] = []    # what became of them, when the case is over
 
     def finish(self) -> list[str]:
         """End a case: judge all that was heard; return what was wrong."""
-        wrong, heard = super().finish(), self.machine.heard
-        self.seen[:0] = [str(found) for found in self.found()]
+        heard = self.machine.heard
+        wrong = super().finish()
+        self.found = self.aside(lambda: [
+            found_of(fault, heard, self.machine.truth) for fault in self.injected])
+        self.seen[:0] = [str(found) for found in self.found]
         return wrong + judge_blame(heard.said, self.injected, heard.begun)
-
-    def found(self) -> list[Found]:
-        """Return what became of the faults of this case."""
-        return [found_of(fault, self.machine.heard, self.machine.truth)
-                for fault in self.injected]
 
     # ------------------------------------------------------------------------------ faults
 

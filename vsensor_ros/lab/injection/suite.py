@@ -228,7 +228,7 @@ def _try(context: CaseContext, case: Case) -> CaseResult:
     wrong = [] if skipped else context.finish()
     _settle(context)
     seconds = time.monotonic() - began
-    faults = tuple(context.found()) if isinstance(context, AloneContext) else ()
+    faults = tuple(context.found) if isinstance(context, AloneContext) else ()
     if skipped:
         return CaseResult(case.name, case.expected, skipped, 'skipped', seconds)
     seen = '; '.join(wrong) if wrong else '; '.join(context.seen) or 'as expected'
