@@ -25,7 +25,7 @@ help:
 	@echo 'make demo    watch failed sensors being replaced on four systems; build/demo'
 	@echo 'make test    the tests but the slow ones (ARGS="-k name": a part; ARGS="-m slow": those)'
 	@echo 'make lint    ruff and mypy'
-	@echo 'make inject  inject every kind of fault into a replacer (SYSTEM=three_tank; ARGS=--quick)'
+	@echo 'make inject  inject every kind of fault into a replacer (SYSTEM=three_tank; ARGS='--alone --quick')'
 	@echo 'make bench   what replacer and designer cost, beside peers (ARGS="--only designer")'
 	@echo 'make clean   remove all that make made'
 

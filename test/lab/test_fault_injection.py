@@ -21,9 +21,24 @@ from vsensor_ros.command.fault_injection import main
 from vsensor_ros.lab.domain import reserved_domain
 from vsensor_ros.lab.injection import suite
 from vsensor_ros.lab.injection.message_cases import _thousand_of
-from vsensor_ros.lab.injection.suite import ALL, CaseResult, QUICK, TRIES
+from vsensor_ros.lab.injection.suite import (
+    ALL,
+    ALONE_CASES,
+    ALONE_QUICK,
+    CaseResult,
+    QUICK,
+    TRIES,
+)
 from vsensor_ros.lab.injection.truth import compute_truth
-from vsensor_ros.lab.injection.verdict import Evidence, judge, Out, path_of, Stated, StatusHeard
+from vsensor_ros.lab.injection.verdict import (
+    Evidence,
+    handovers_of,
+    judge,
+    Out,
+    path_of,
+    Stated,
+    StatusHeard,
+)
 from vsensor_ros.lab.process import die_with_parent
 from vsensor_ros.node.accessor import get_stamp, put_stamp
 from vsensor_ros.plant import load_plant
@@ -112,6 +127,34 @@ def test_the_node_passes(quick, capsys):
     # a computer too busy to tell skips a case, or starts a replacer once more
     assert all(r['outcome'] == 'PASS' or 'too busy' in r['seen'] for r in results.values())
     assert ' passed, 0 failed, ' in said
+
+
+@pytest.mark.slow
+def test_the_node_finds_out_alone(quick, capsys):
+    rewrite(quick, lambda own: {'/**': {'ros__parameters': {
+        **own['ros__parameters'], 'design_file': 'none'}}})
+    code = main(['--alone', '--only', 'bias', *quick])
+    said = capsys.readouterr().out
+    assert code == 0, said
+    results = results_of(quick)
+    assert list(results) == ['learning', 'bias']
+    if results['bias']['outcome'] == 'PASS':    # else this computer was too busy to tell
+        y1, y2, y3 = results['bias']['faults']
+        assert (y1['sensor'], y1['kind']) == ('y1', None)   # the design says that nobody sees it
+        assert y2['kind'] == y3['kind'] == 'bias'
+        assert max(y2['error'], y3['error']) < 0.05
+    else:
+        assert 'too busy' in results['bias']['seen'], said
+
+
+def test_alone_needs_a_design_with_residuals(quick, capsys):
+    assert main(['--alone', *quick]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1 and 'isolability: no residual tells of a fault' in said
+    with pytest.raises(SystemExit, match='2'):
+        main(['--alone', '--running', *quick])
+    assert main(['--alone', '--only', 'toggle', *quick]) == 2
+    assert 'there is no case toggle' in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -237,6 +280,11 @@ def test_the_cases_are_listed(capsys):
     assert main(['--list', '--quick']) == 0
     quick = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert set(quick) == QUICK and len(quick) == len(ALL) // 2
+    assert main(['--list', '--alone', '--quick']) == 0
+    quick = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert set(quick) == ALONE_QUICK
+    told, alone = ({case.name for case in cases} for cases in (ALL, ALONE_CASES))
+    assert told - alone == {'start', 'handover', 'toggle', 'isolator_restart'}
     with pytest.raises(SystemExit, match='2'):
         main(['--quick'])
     assert '--plant and --params-file are needed, but for --list' in capsys.readouterr().err
@@ -371,6 +419,11 @@ def test_paths():
     told = [StatusHeard(0.0, {'y': {'source': source}}) for source in (
         'real', 'silent', 'real', 'virtual', 'virtual', 'none', 'real')]
     assert path_of(told, 'y') == ['real', 'virtual', 'none', 'real']
+    assert handovers_of(told, 'y') == 0
+    told = [StatusHeard(0.0, {'y': {'source': source, 'fault_set': which}}) for source, which in (
+        ('real', ''), ('virtual', 'y, z'), ('virtual', 'y, z'), ('virtual', 'y'), ('none', 'y'),
+        ('virtual', 'y, z'), ('real', ''))]
+    assert handovers_of(told, 'y') == 1
 
 
 def test_what_came_late_was_said_in_time(truth):

@@ -9,6 +9,8 @@ from vsensor_ros.simulate.fault import (
     drift,
     drop_out,
     freeze,
+    infinity,
+    noise,
     not_a_number,
     Recorded,
     spikes,
@@ -39,6 +41,18 @@ def test_nan_is_sent():
     bad = not_a_number(CHANNEL, 2.0, 4.0)
     assert_array_equal(np.isnan(bad.value), (TIME >= 2) & (TIME < 4))
     assert bad.sent.all()
+
+
+def test_infinity_is_sent():
+    assert_array_equal(np.isinf(infinity(CHANNEL, 2.0, 4.0).value), (TIME >= 2) & (TIME < 4))
+
+
+def test_noise_is_white_and_as_large_as_asked_for():
+    long = Recorded.of(np.arange(20000.0), np.zeros(20000))
+    added = noise(long, 10000.0, size=3.0).value
+    assert not added[:10000].any()
+    assert abs(np.std(added[10000:]) - 3.0) < 0.1
+    assert abs(np.corrcoef(added[10000:-1], added[10001:])[0, 1]) < 0.05
 
 
 def test_bias_and_drift():

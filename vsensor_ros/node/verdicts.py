@@ -40,8 +40,11 @@ def statuses(verdict: Verdict, sensors: Sequence[str], node: str, mode: str,
     told = _told(verdict)
     level = DiagnosticStatus.WARN if verdict.state not in (HEALTHY, ISOLATED) \
         else DiagnosticStatus.OK
+    left = next((dict(why.facts)['seconds'] for why in verdict.notes
+                 if why.code == 'fault learning'), 0.0)
     yield prefix, Report(NAME, level, '; '.join(map(str, told)) or verdict.state, '', ''), {
-        'state': verdict.state, 'mode': mode, 'faulty': ' '.join(verdict.faulty),
+        'state': verdict.state, 'mode': mode, 'learning_s': number(left),
+        'faulty': ' '.join(verdict.faulty),
         'candidates': ' | '.join(' '.join(names) for names in verdict.candidates)}
 
 

@@ -51,6 +51,7 @@ def _of(kind: str, **parts: float) -> Callable[[AloneContext], None]:
                                           value * context.span(name)
                                           for key, value in parts.items()})
         _expect_paths(context)
+        context.fresh = False   # what reads a sensor that has failed begins anew
     return act
 
 
@@ -59,10 +60,12 @@ def noise(context: AloneContext) -> None:
     for name in context.tested.plant.sensors:
         _fail(context, name, 'noise', size=NOISIER * context.machine.truth.noise[name])
     _expect_paths(context)
+    context.fresh = False
 
 
 def _fail(context: AloneContext, name: str, kind: str, **size: float) -> None:
     """Let a sensor fail, be found and replaced, or not, and come back."""
+    context.await_reserve(name)
     context.play(0.2)
     context.fault(kind, name, **size)
     if context.injected[-1].kind:
@@ -117,6 +120,7 @@ def silence(context: AloneContext) -> None:
     if not reads:
         raise Skipped('the virtual sensor reads no sensor')
     needed = reads[0]
+    context.await_reserve(target)
     context.fault('bias', size=BIAS * context.span(target))
     context.isolate(target)
     context.expect(target, 'virtual')
@@ -282,7 +286,7 @@ def node_restart(context: AloneContext) -> None:
 def kill_9(context: AloneContext) -> None:
     """End the replacer by SIGKILL, which keeps nothing, and start it anew."""
     _restart(context, signal.SIGKILL, 'bias', size=BIAS)
-    context.learnt_since = context.machine.now
+    context.to_learn = None
     context.fresh = False
 
 

@@ -19,11 +19,14 @@ from vsensor_ros.lab.injection.blame import (
     ISOLATED,
     judge_blame,
 )
-from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED
+from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, SOON
+from vsensor_ros.lab.injection.under_test import UnderTest
 from vsensor_ros.lab.injection.verdict import PART, Said, SIGMAS
 from vsensor_ros.observers import Isolability
 
-LEARNING = 1400     # readings of a healthy machine, before which its habits are not known
+LEARNING = 1200     # readings of a healthy machine, before which its habits are not known
+WARM = 60.0         # s that the slowest observer has at most to forget its start
+DECAYED = 7.0       # time constants in which it has
 FOUND = 10.0        # s in which a fault must have been found, beside the max_age of its sensor
 WINDOW = 64         # readings in which noise is looked for
 JUDGED = 0.3        # s until what was read last has been judged
@@ -35,26 +38,26 @@ CALM = 30.0         # s in which a suspicion must have passed
 class AloneContext(CaseContext):
     """A replacer whom nobody tells who has failed."""
 
-    learnt_since: float = 0.0   # s of the machine's time
+    to_learn: float | None = None   # s that may be left to learn; None: it has just started
 
     apart = 6.0     # all that alarms within 5 s is one fault
 
     def begin(self) -> None:
         """Begin a case: what was heard before is forgotten."""
         super().begin()
+        self.machine.faulty &= self.machine.verdict.kinds.keys()
         self.machine.heard.said.append(self.machine.verdict._replace(arrival=time.monotonic()))
         self.injected: list[Injected] = []
+        self.found: list[Found] = []    # what became of them, when the case is over
 
     def finish(self) -> list[str]:
         """End a case: judge all that was heard; return what was wrong."""
-        wrong, heard = super().finish(), self.machine.heard
-        self.seen[:0] = [str(found) for found in self.found()]
+        heard = self.machine.heard
+        wrong = super().finish()
+        self.found = self.aside(lambda: [
+            found_of(fault, heard, self.machine.truth) for fault in self.injected])
+        self.seen[:0] = [str(found) for found in self.found]
         return wrong + judge_blame(heard.said, self.injected, heard.begun)
-
-    def found(self) -> list[Found]:
-        """Return what became of the faults of this case."""
-        return [found_of(fault, self.machine.heard, self.machine.truth)
-                for fault in self.injected]
 
     # ------------------------------------------------------------------------------ faults
 
@@ -155,12 +158,30 @@ class AloneContext(CaseContext):
 
     def learn(self) -> None:
         """Let the healthy machine be learnt; nobody is suspected, all can be replaced."""
-        rate = self.tested.parameters.general('rate')
+        known = LEARNING / self.tested.parameters.general('rate')
+        self.until(lambda: math.isfinite(self.machine.verdict.learning), SOON, 'its isolator')
         self.await_state(HEALTHY, CALM)
-        self.play(max(0.0, LEARNING / rate - (self.machine.now - self.learnt_since)))
-        self.until(lambda: self.machine.latest[self.target].get('reserve') != 'not ready',
-                   CONVERGED, f'a reserve for {self.target}')
+        if self.to_learn is None:
+            self.to_learn = max(0.0, self.machine.verdict.learning - known)
+        self.until(lambda: self.machine.verdict.learning <= (self.to_learn or 0.0),
+                   learning_time(self.tested) + WARM, 'enough learnt')
+        self.await_reserve(self.target)
         self.fresh = True
+
+    def await_reserve(self, name: str) -> None:
+        """Play until a sensor that can be replaced could be now."""
+        if self.tested.serves([name], name) == 'virtual':
+            self.until(lambda: self.machine.latest.get(name, {}).get('reserve') != 'not ready',
+                       CONVERGED, f'a reserve for {name}')
+
+
+def learning_time(tested: UnderTest) -> float:
+    """Return how long it takes until enough is learnt of a healthy machine [s]."""
+    found = tested.design.isolability
+    entries = [*tested.design.virtual_sensors, *(found.filters.values() if found else ())]
+    slowest = min((entry.decay for entry in entries), default=0.0)
+    return 4.0 + LEARNING / tested.parameters.general('rate') + min(
+        WARM, DECAYED / max(slowest, 1e-3))
 
 
 def _number(facts: Mapping[str, str], key: str) -> float | None:

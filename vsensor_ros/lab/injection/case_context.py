@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import math
 import signal
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -35,6 +36,9 @@ LATE = 0.05         # s that the machine may be played late, else it was another
 WAITED = 0.1        # of its time that the replacer may wait for a processor, for the same reason
 UNTIMED = 0.06      # s by which the time of a message without a stamp may be wrong
 STEP_PART = 0.02    # of the range that a switch may step by when the sensor was healthy
+
+
+T = TypeVar('T')
 
 
 class Skipped(Exception):
@@ -100,8 +104,20 @@ class CaseContext:
             self._known(name, heard.ended)
         if self.process is not None and not self.process.alive:
             self.wrong.append(f'the replacer has died: {self.process.last_words()}')
-        return self.wrong + judge(heard, self.machine.truth, self.machine.frames(), UNTIMED,
-                                  self.tested.without_estimate in ('hold', 'pass'))
+        return self.wrong + self.aside(lambda: judge(
+            heard, self.machine.truth, self.machine.frames(), UNTIMED,
+            self.tested.without_estimate in ('hold', 'pass')))
+
+    def aside(self, compute: Callable[[], T]) -> T:
+        """Return what takes a while to compute; the machine runs on, and what it says is new."""
+        heard = self.machine.heard
+        self.machine.heard = Evidence(time.monotonic(), spoken=set(heard.spoken))
+        with ThreadPoolExecutor(1) as pool:
+            future = pool.submit(compute)
+            with suppress(Exhausted):
+                while not future.done():
+                    self.play(0.005)
+            return future.result()
 
     def _why_busy(self, lasted: float) -> str:
         """Return what shows that this computer was too busy to judge a case, '' if nothing."""

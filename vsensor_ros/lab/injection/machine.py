@@ -228,4 +228,5 @@ def _said(message: DiagnosticArray) -> Said:
     facts = {s.hardware_id: {v.key: v.value for v in s.values} for s in message.status}
     return Said(time.monotonic(), facts.get('', {}).get('state', ''), {
         s.hardware_id: facts[s.hardware_id].get('kind', '') for s in message.status
-        if s.hardware_id and s.level == DiagnosticStatus.ERROR})
+        if s.hardware_id and s.level == DiagnosticStatus.ERROR},
+        float(facts.get('', {}).get('learning_s', 'inf')))

@@ -16,7 +16,7 @@ import time
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.lab.domain import open_nodes, reserved_domain, stay_on_this_computer
 from vsensor_ros.lab.injection.alone_cases import ALONE_CASES, LEARN
-from vsensor_ros.lab.injection.alone_context import AloneContext
+from vsensor_ros.lab.injection.alone_context import AloneContext, learning_time
 from vsensor_ros.lab.injection.blame import Found
 from vsensor_ros.lab.injection.case import Case, FULL_SHM, OURS, PLAIN, SIMULATED
 from vsensor_ros.lab.injection.case_context import CaseContext, GaveUp, Skipped, STARTED
@@ -71,9 +71,10 @@ def choose(only: str, quick: bool, alone: bool = False) -> list[Case]:
 
 def truth_for(tested: UnderTest, cases: Sequence[Case]) -> Truth:
     """Return a truth that is long enough for each session of the cases; raise BadInput."""
-    return compute_truth(tested.plant, tested.scenario, min(
-        _seconds(tested, cases), max(LONGEST, *(_seconds(tested, [case]) for case in cases))),
-        tested.alone)
+    longest = max(LONGEST + _lasts(tested, _first(tested)),
+                  *(_seconds(tested, [case]) for case in cases))
+    return compute_truth(tested.plant, tested.scenario, min(_seconds(tested, cases), longest),
+                         tested.alone)
 
 
 def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: bool,
@@ -108,11 +109,12 @@ def run_suite(tested: UnderTest, truth: Truth, cases: Sequence[Case], running: b
 
 def _seconds(tested: UnderTest, cases: Sequence[Case]) -> float:
     """Return how long the machine must run in a session of some cases [s]."""
-    return _first(tested).seconds + tested.dwell + MARGIN + sum(
-        _lasts(tested, case) for case in cases)
+    return _lasts(tested, _first(tested)) + MARGIN + sum(_lasts(tested, case) for case in cases)
 
 
 def _lasts(tested: UnderTest, case: Case) -> float:
+    if case is LEARN:
+        return learning_time(tested)
     return case.seconds * (len(tested.plant.sensors) if case.each else 1) + 2.0 * tested.dwell
 
 
@@ -226,7 +228,7 @@ def _try(context: CaseContext, case: Case) -> CaseResult:
     wrong = [] if skipped else context.finish()
     _settle(context)
     seconds = time.monotonic() - began
-    faults = tuple(context.found()) if isinstance(context, AloneContext) else ()
+    faults = tuple(context.found) if isinstance(context, AloneContext) else ()
     if skipped:
         return CaseResult(case.name, case.expected, skipped, 'skipped', seconds)
     seen = '; '.join(wrong) if wrong else '; '.join(context.seen) or 'as expected'

@@ -54,6 +54,7 @@ class Said(NamedTuple):
     arrival: float              # s, monotonic
     state: str
     kinds: Mapping[str, str]    # of fault, by sensor that is blamed
+    learning: float = math.inf  # s until it knows enough of the healthy machine
 
 
 @dataclass
@@ -113,6 +114,13 @@ def path_of(told: Sequence[StatusHeard], name: str) -> list[str]:
         if source and path[-1:] != [source]:
             path.append(source)
     return path
+
+
+def handovers_of(told: Sequence[StatusHeard], name: str) -> int:
+    """Return how often one virtual sensor of a channel took over from another."""
+    served = [(facts.get('source'), facts.get('fault_set'))
+              for status in told if (facts := status.facts.get(name))]
+    return sum(a[0] == b[0] == 'virtual' and a[1] != b[1] for a, b in zip(served, served[1:]))
 
 
 def switches_of(facts: Mapping[str, Mapping[str, str]], name: str) -> int:
