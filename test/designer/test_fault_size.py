@@ -86,6 +86,7 @@ def test_each_condition_of_a_sliding_mode_is_refused_by_its_sentence(name):
 
 def test_the_same_plants_without_that_flaw_have_one():
     for made, faulty in ((plant(A3, [1.0, 0.0, 0.0], C3), 'y1'),
+                         (plant([[0.0]], [1.0], [[1.0]]), 'u1'),  # nothing has a rate there
                          (plant([[0.0, 1.0], [-1.0, -1.0]], [1.0, 1.0], [[1.0, 0.0]]), 'u1'),
                          (plant([[-1.0, 1.0], [0.0, -1.0]], [1.0, 3.0], [[1.0, 0.0]]), 'u1')):
         assert not isinstance(size_of(made, faulty, method=SLIDING), str)

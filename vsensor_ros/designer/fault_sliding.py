@@ -18,7 +18,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from vsensor_ros.designer.fault_walk import fault_columns, of_readings
 from vsensor_ros.designer.invariant_spaces import filter_candidate
 from vsensor_ros.designer.isolability import blind_to, Checks, checks
-from vsensor_ros.designer.noise import Filter, noise_model, NoiseModel, riccati
+from vsensor_ros.designer.noise import Filter, mean_rate, noise_model, NoiseModel, riccati
 from vsensor_ros.designer.observer import build
 from vsensor_ros.designer.problem import Problem
 from vsensor_ros.designer.stability import lasting
@@ -174,7 +174,7 @@ def _gain(found: Checks, noise: NoiseModel, f: np.ndarray, p: np.ndarray) -> np.
             except (np.linalg.LinAlgError, ValueError):
                 return Reason.of('size, no filter')
             L = T @ np.linalg.solve(meter, E @ P).T
-    push = max(abs(float(c @ known.A @ f)), known.speed, np.finfo(float).tiny)
+    push = max(abs(float(c @ known.A @ f)), known.speed, mean_rate(found.problem))
     for _ in range(40):
         whole = L + push * np.outer(f, p)
         if not lasting(known.A - whole @ known.E, None, known.speed)[1].any():
