@@ -10,6 +10,7 @@ from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.extended import extended
+from vsensor_ros.designer.filter_trial import tried, with_trials
 from vsensor_ros.observers import ExtendedSensor, VirtualSensor
 from vsensor_ros.report.design_answer import answer
 from vsensor_ros.report.page import page
@@ -226,3 +227,25 @@ def test_how_far_parameters_are_off_may_be_said_when_one_asks(plant_of):
     for wrong in (0.0, 1.0, True, 'much'):
         with pytest.raises(BadInput, match='share'):
             design(bare, spread=wrong)
+
+
+def test_runs_over_the_ranges_say_how_far_off_it_is(made, plant_of, tmp_path):
+    plant = plant_of()
+    found = with_trials(plant, made)
+    entry = found[('encoder',), 'encoder']
+    t = entry.tried
+    # it has to be off by what its covariance says, of which two deviations are 95 %
+    assert entry.drift[0] < t.rmse < 2.0 * entry.drift[-1] and 0.9 < t.within < 1.0
+    assert t.runs == 40 and t.lost < 0.15 and t.served > 0.85
+    # one that takes its sensors for better than they are does not know what it does not know
+    sure = replace(entry, model=replace(entry.model, noise=0.1 * entry.model.noise))
+    wrong = tried(plant, sure, entry.model)
+    assert wrong.lost > 0.9 or wrong.within < 0.7
+    assert '40 runs over the declared ranges' in ' '.join(answer(found, plant=plant).split())
+    found.save(tmp_path / 'design.json')
+    assert Design.load(tmp_path / 'design.json')[('encoder',), 'encoder'].tried == t
+    record = json.loads((tmp_path / 'design.json').read_text())
+    record['entries'][0]['tried']['within'] = 1.5
+    (tmp_path / 'design.json').write_text(json.dumps(record))
+    with pytest.raises(BadInput, match='tried.within: is no share'):
+        Design.load(tmp_path / 'design.json')

@@ -10,7 +10,7 @@ from vsensor_ros import design
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.scheduled import scheduled, ScheduledObserver, where_it_holds
 from vsensor_ros.designer.scheduled_proof import Blend, margin_left
-from vsensor_ros.observers import Refusal, VirtualSensor
+from vsensor_ros.observers import Refusal, ScheduledSensor, VirtualSensor
 from vsensor_ros.plant import from_equations, grid_memberships, load_plant, TakagiSugeno
 
 pytest.importorskip('cvxpy')
@@ -23,7 +23,7 @@ states:
   id: {range: [-50, 50]}
   iq: {range: [-50, 50]}
   w: {range: [-300, 300]}
-inputs: {vd: , vq: }
+inputs: {vd: {range: [-50, 50]}, vq: {range: [-50, 50]}}
 disturbances: {load: {range: [-400, 400]}}
 dynamics:
   id: (vd - R*id + pp*w*Lq*iq)/Ld
@@ -255,6 +255,17 @@ def test_a_design_says_why_it_takes_none(motor, load, why):
     assert isinstance(entry, Refusal) and why in entry.reason
     assert why not in design(plant, [['encoder']], scheduled=False)[
         ('encoder',), 'encoder'].reason
+
+
+def test_a_half_width_as_wide_as_the_range_is_of_no_use(tmp_path):
+    text = MOTOR.replace('id: {range: [-50, 50]}', 'id: {range: [-10, 50]}')
+    found = {}
+    for speed in (300, 3):
+        (tmp_path / 'motor.yaml').write_text(text.replace('300', str(speed)))
+        found[speed] = design(load_plant(tmp_path / 'motor.yaml'), [['encoder']])[
+            ('encoder',), 'encoder']
+    assert isinstance(found[300], ScheduledSensor) and 10.0 < found[300].half_width < 60.0
+    assert isinstance(found[3], Refusal) and 'lies in a range of 6' in found[3].reason
 
 
 def test_constant_gains_that_are_proved_go_before(motor):

@@ -154,7 +154,7 @@ def test_it_goes_through_the_file(mixed, saved):
 
 @pytest.mark.parametrize(('change', 'said'), [
     ({'kind': 'contsant'},
-     r'entries\[0\].kind: contsant is not one of functional, extended, constant'),
+     r'entries\[0\].kind: contsant is not one of functional, .*constant'),
     ({'kind': 'vsensor_ros.node'}, r'entries\[0\].kind: vsensor_ros.node is not one of'),
     ({'growth': -1.0}, r'entries\[0\].growth: must not be negative'),
     ({'growth': 'fast'}, r'entries\[0\].growth: must be a number'),
@@ -346,9 +346,9 @@ def test_a_name_is_taken_once():
 def test_a_kind_that_nobody_knows_is_one_line(mixed, tmp_path):
     entry = Strange('y3', ('y3',), {'y3': 7.0}, 0.0, 1.0)
     strange = replace(mixed, entries={(('y3',), 'y3'): entry})
-    with pytest.raises(BadInput, match='strange is not one of functional, extended, constant'):
+    with pytest.raises(BadInput, match='strange is not one of functional, .*constant'):
         strange.save(tmp_path / 'strange.json')
-    with pytest.raises(BadInput, match='strange is not one of functional, extended, constant'):
+    with pytest.raises(BadInput, match='strange is not one of functional, .*constant'):
         Bank(strange, 100)
 
 

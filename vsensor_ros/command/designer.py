@@ -18,6 +18,7 @@ from vsensor_ros.control import check_loop, closed_loop, load_controller
 from vsensor_ros.designer import design
 from vsensor_ros.designer.advice import advice
 from vsensor_ros.designer.design import chosen_sets, METHODS
+from vsensor_ros.designer.filter_trial import with_trials
 from vsensor_ros.designer.location import locations
 from vsensor_ros.designer.processes import Processes
 from vsensor_ros.designer.unfinished import Unfinished
@@ -72,6 +73,7 @@ def _design(options: argparse.Namespace, work: str | None) -> str:
         with nullcontext() if options.jobs == 1 else Processes(options.jobs) as executor:
             result = design(plant, sets, progress=progress, executor=executor, work_file=work,
                             **_choices(options))
+        result = with_trials(plant, result)
         result.save(options.output)
         if work is not None:
             _remove(work)

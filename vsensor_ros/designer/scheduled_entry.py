@@ -39,9 +39,12 @@ def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
                        box=np.vstack([plant.ranges, plant.input_range]))
     if isinstance(answer, Reason):
         return answer
-    moves = answer.Phi.any(axis=0)
-    return scheduled_entry(answer, plant.noise, plant.ranges) if np.isfinite(
-        plant.ranges[moves]).all() else None
+    if not np.isfinite(plant.ranges[answer.Phi.any(axis=0)]).all():
+        return None
+    low, high = plant.reading_ranges().get(channel, (-np.inf, np.inf))
+    if not answer.half_width < (high - low) / 2:
+        return Reason.of('as wide as the range', half_width=answer.half_width, range=high - low)
+    return scheduled_entry(answer, plant.noise, plant.ranges)
 
 
 def scheduled_entry(observer: ScheduledObserver, noise: np.ndarray,

@@ -239,6 +239,8 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'not scheduled': lambda why: f'gains that follow the readings do no better: {why}',
     'states without ranges': lambda channel: (
         f'what {channel} depends on has no range: declare where the states and inputs live'),
+    'as wide as the range': lambda half_width, range: (
+        f'they would be within {half_width:.3g}, and the channel lies in a range of {range:.3g}'),
     'premise not read': lambda names: (
         f'no healthy sensor reads {listed(names)}, of which the submodels depend'),
     'not of the states': lambda channel: (

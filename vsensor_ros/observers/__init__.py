@@ -26,7 +26,7 @@ from vsensor_ros.observers.kinds import (
     Told,
     Tracked,
 )
-from vsensor_ros.observers.kinds.extended import EXTENDED, ExtendedSensor, Model
+from vsensor_ros.observers.kinds.extended import EXTENDED, ExtendedSensor, Model, Tried
 from vsensor_ros.observers.kinds.functional import FUNCTIONAL, VirtualSensor
 from vsensor_ros.observers.kinds.functional.convergence import settling_time
 from vsensor_ros.observers.kinds.functional.tracking import (
@@ -44,5 +44,6 @@ register(TAKAGI_SUGENO)
 __all__ = ['NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate', 'Design',
            'Distinction', 'Entry', 'ExtendedSensor', 'Isolability', 'Key', 'Kind', 'Limit',
            'Model', 'Noise', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung',
-           'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'VirtualSensor',
-           'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register', 'settling_time']
+           'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'Tried',
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
+           'settling_time']

@@ -13,9 +13,9 @@ Letters: n states, m inputs, d unknown inputs, p parameters, L sensors, R runs o
 from vsensor_ros.observers.kinds import Kind
 from vsensor_ros.observers.kinds.extended.batch import make_batch
 from vsensor_ros.observers.kinds.extended.section import read_section, write_section
-from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model
+from vsensor_ros.observers.kinds.extended.sensor import ExtendedSensor, Model, Tried
 
 EXTENDED = Kind('extended', write_section, read_section, make_batch,
                 lambda entry: entry.model.angle)
 
-__all__ = ['EXTENDED', 'ExtendedSensor', 'Model']
+__all__ = ['EXTENDED', 'ExtendedSensor', 'Model', 'Tried']

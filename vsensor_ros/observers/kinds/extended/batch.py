@@ -32,7 +32,7 @@ KNOWN = 0.2
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExtendedBatch(Batch):
     """
-    V filters of one output: V that go on without their channels, then V that they track.
+    V filters of one output that go on without their channels, then those that track them.
 
     Of an angle the first V start by themselves, and are ready once they know it; V more go on
     from those that are tracked.
@@ -137,15 +137,15 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
     healthy = np.array([[name in e.reads for name in sensors] for e in entries], dtype=bool)
     angle = bool(model.angle)
     told = np.column_stack([model.C, *[model.factors] * angle])
-    tracked = [[name in e.reads or (name in e.fault_set and bool(told[i].any()))
-                for i, name in enumerate(sensors)] for e in entries]
-    commands = np.array([[name in e.commands for name in design.inputs] for e in entries],
-                        dtype=bool).reshape(V, len(design.inputs))
+    tracked = [tuple(name in e.reads or (name in e.fault_set and bool(told[i].any()))
+                     for i, name in enumerate(sensors)) for e in entries]
+    trackers = list(dict.fromkeys(tracked))  # while all is believed many are the same
+    commands = np.array([name in entries[0].commands for name in design.inputs], dtype=bool)
     # those that go on alone come first; of an angle they are not those that were tracked
-    runs = [healthy, np.array(tracked, dtype=bool), *[healthy] * angle]
-    reads = np.concatenate(runs)
-    judged = np.concatenate([healthy, np.zeros_like(healthy), *[healthy] * angle])
-    needs = np.hstack([reads, np.vstack([commands] * len(runs))])
+    reads = np.concatenate([healthy, np.array(trackers, dtype=bool), *[healthy] * angle])
+    judged = reads.copy()
+    judged[V:V + len(trackers)] = False
+    needs = np.hstack([reads, np.tile(commands, (len(reads), 1))])
     filter_ = Filter(model, period, reads, judged, Cu is not None)
     longest = design.sample_time or period
     warm_up = np.array([max(e.warm_up, longest) for e in entries])
@@ -158,8 +158,9 @@ def make_batch(entries: Sequence[ExtendedSensor], design: Contents, period: floa
         # of an angle that depends on how it moves, see `waiting`
         warm_up=np.full(V, np.inf) if angle else warm_up, proved=np.zeros(V, dtype=bool),
         wants_held=bool(model.Cu.any()), wants_ages=True,
-        tracked=tuple(Tracked(i, V + i, 2 * V + i if angle else i, tuple(
-            j for j, name in enumerate(sensors) if name in e.fault_set and reads[V + i, j]),
+        tracked=tuple(Tracked(
+            i, V + trackers.index(tracked[i]), V + len(trackers) + i if angle else i,
+            tuple(j for j, name in enumerate(sensors) if name in e.fault_set and tracked[i][j]),
             float(warm_up[i])) for i, e in enumerate(entries)),
         filter=filter_, model=model, ages=tuple(e.ages for e in entries),
         drifts=tuple(e.drift for e in entries))

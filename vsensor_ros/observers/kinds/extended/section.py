@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from vsensor_ros.observers.kinds.extended.sensor import (
     ExtendedSensor,
     immersed_states,
     Model,
+    Tried,
 )
 
 _LARGEST = 1e75  # so that its square is a number
@@ -29,6 +31,7 @@ def write_section(entry: ExtendedSensor) -> dict[str, Any]:
         'ages': entry.ages.tolist(), 'drift': entry.drift.tolist(),
         'equations': list(m.equations), 'unknown': list(m.unknown),
         **({'why': entry.why} if entry.why else {}),
+        **({'tried': vars(entry.tried)} if entry.tried else {}),
         **({'angle': {'state': m.angle, 'factors': m.factors.tolist()}} if m.angle else {}),
         'parameters': [{'name': name, 'value': value, 'spread': spread} for name, value, spread
                        in zip(m.parameters, m.values.tolist(), m.spreads.tolist())],
@@ -39,7 +42,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                  version: int) -> ExtendedSensor:
     """Read what write_section wrote; raises BadInput."""
     reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
-                 'parameters', *_VECTORS, 'C', 'Cu', 'why', 'angle'))
+                 'parameters', *_VECTORS, 'C', 'Cu', 'why', 'angle',
+                 'tried'))
     reads = reader.names('reads')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -95,7 +99,18 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('C', f'tells nothing of {channel}')
     return ExtendedSensor(channel, fault_set, reads, model, reader.size('decay'),
                           reader.size('warm_up'), ages, drift,
-                          reader.text('why') if 'why' in reader.record else '')
+                          reader.text('why') if 'why' in reader.record else '',
+                          _tried(reader) if 'tried' in reader.record else None)
+
+
+def _tried(reader: CheckedObject) -> Tried:
+    found = reader.object('tried')
+    found.only(tuple(field.name for field in fields(Tried)))
+    for share in ('within', 'lost', 'served'):
+        if not found.size(share) <= 1.0:
+            raise found.fail(share, 'is no share')
+    return Tried(found.whole('runs'), *(found.size(key) for key in (
+        'seconds', 'rmse', 'within', 'lost', 'served')))
 
 
 def _angle(reader: CheckedObject, plant: Contents) -> tuple[str, np.ndarray]:

@@ -59,6 +59,18 @@ class Model:
             vars(self).values(), vars(other).values()))
 
 
+@dataclass(frozen=True)
+class Tried:
+    """What a filter did in runs over the declared ranges, with parameters off by their spreads."""
+
+    runs: int
+    seconds: float  # after the loss
+    rmse: float  # of what was served there [unit of the channel]
+    within: float  # share of it that was within two deviations
+    lost: float  # share of the runs in which it was withdrawn
+    served: float  # share of the time in the ranges
+
+
 def on_circle(angle: str) -> tuple[str, str]:
     """Return the names of the states that are cosine and sine of an angle."""
     return f'cos_{angle}', f'sin_{angle}'
@@ -87,6 +99,7 @@ class ExtendedSensor:
     ages: np.ndarray  # (T,) s after the loss of its channels, and then
     drift: np.ndarray  # (T,) its standard deviation at the operating point
     why: str = ''  # it stands there and no virtual sensor of which something is proved
+    tried: Tried | None = None  # by the designer
 
     @property
     def outputs(self) -> tuple[str, ...]:
