@@ -50,7 +50,8 @@ class Model:
     @property
     def circle(self) -> tuple[int, int]:
         """Indices of the cosine and the sine of the angle."""
-        return tuple(self.states.index(name) for name in on_circle(self.angle))  # type: ignore
+        cos, sin = on_circle(self.angle)
+        return self.states.index(cos), self.states.index(sin)
 
     def same(self, other: Model) -> bool:
         """Tell whether another is equal."""
