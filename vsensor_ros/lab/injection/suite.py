@@ -115,7 +115,9 @@ def _seconds(tested: UnderTest, cases: Sequence[Case]) -> float:
 def _lasts(tested: UnderTest, case: Case) -> float:
     if case is LEARN:
         return learning_time(tested)
-    return case.seconds * (len(tested.plant.sensors) if case.each else 1) + 2.0 * tested.dwell
+    # what reads a sensor that has failed has to converge again
+    again = learning_time(tested) if case.each else 0.0
+    return again + case.seconds * (len(tested.plant.sensors) if case.each else 1) + 2.0 * tested.dwell
 
 
 def _first(tested: UnderTest) -> Case:
