@@ -115,7 +115,10 @@ def _seconds(tested: UnderTest, cases: Sequence[Case]) -> float:
 def _lasts(tested: UnderTest, case: Case) -> float:
     if case is LEARN:
         return learning_time(tested)
-    return case.seconds * (len(tested.plant.sensors) if case.each else 1) + 2.0 * tested.dwell
+    seconds = case.seconds + 2.0 * tested.dwell
+    if case.each:   # and what reads a sensor that has failed has to converge again
+        seconds += case.seconds * (len(tested.plant.sensors) - 1) + learning_time(tested)
+    return seconds
 
 
 def _first(tested: UnderTest) -> Case:
