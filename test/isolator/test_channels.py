@@ -77,6 +77,14 @@ def test_noise_is_what_is_rougher_than_both_the_reading_and_the_residual_were():
     assert feed(channels, motion[:2000] + noise(2000, 3), motion[:2000], learn=False)[2] == []
 
 
+def test_jumps_that_nobody_can_find_teach_no_roughness():
+    channels, jumps = Channels(PERIOD, 4, 1), 300.0 * (np.arange(9000) // 300 % 2)
+    assert feed(channels, noise(3000)) == ([], [], [])
+    assert feed(channels, noise(9000, 1) + jumps)[2] == []
+    _, _, noisy = feed(channels, 5.0 * noise(400, 2), learn=False)
+    assert 0 < noisy[0] * PERIOD < 1.0
+
+
 def test_motion_beyond_what_was_learnt_is_measured_and_forgotten_again():
     channels = Channels(PERIOD, 4, 1)
     wave = np.sin(np.arange(8000) * 0.01)

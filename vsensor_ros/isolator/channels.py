@@ -197,7 +197,7 @@ class Channels:
         before = self.motion.count.copy()
         for row in (0, 1):
             self.motion.add(row, extremes[row], known)
-        bent = self._of_block(self._bends)
+        bent = self._of_block(np.minimum(self._bends, self._cap))  # a jump is no roughness
         calm = known & np.isfinite(bent) & (
             self._count - self._spiked >= BLOCK // self.batch)
         self.motion.add(2, self.rough, calm)
