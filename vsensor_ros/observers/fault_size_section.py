@@ -23,6 +23,7 @@ from vsensor_ros.observers.kinds import kind_named, kind_names
 
 _KEYS = ('name', 'method', 'response', 'noise', 'deviation', 'assumed', 'disturbed', 'observer',
          'injection', 'others', 'why_not')
+BEYOND = 1e20  # with which, and with whose inverse, no injection can be stepped
 
 
 def fault_sizes_record(sizes: FaultSizes) -> dict[str, Any]:
@@ -111,8 +112,13 @@ def _read_injection(reader: CheckedObject, method: str, design: Contents) -> Inj
         raise item.fail('c', 'is not 1 times f')
     if np.linalg.eigvals(N).real.max() >= 0.0:
         raise item.fail('N', 'is unstable')
-    return Injection(N, f, c, item.positive('largest'),
-                     item.positive('change') if method == TWISTING else item.size('change'))
+    largest = item.positive('largest')
+    change = item.positive('change') if method == TWISTING else item.size('change')
+    for key, numbers in (('N', N), ('f', f), ('c', c), ('largest', largest), ('change', change)):
+        sizes = np.abs(numbers)
+        if np.any(sizes > BEYOND) or np.any((sizes > 0.0) & (sizes < 1.0 / BEYOND)):
+            raise item.fail(key, f'has a number beyond {BEYOND:g} or its inverse')
+    return Injection(N, f, c, largest, change)
 
 
 def _texts(reader: CheckedObject, key: str, names: tuple[str, ...]) -> dict[str, str]:
