@@ -202,6 +202,10 @@ class Detector:
         """Tell whether all of these were ever taken for healthy when they alarmed."""
         return bool(np.isfinite(self.taught[0, columns]).all())
 
+    def full(self, columns: NDArray[np.int64]) -> bool:
+        """Tell whether all windows of these are full: only then is silence no loss of samples."""
+        return bool((self.filled[columns] >= self._full[-1]).all())
+
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""
         self.filled[columns] = 0
