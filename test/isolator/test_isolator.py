@@ -112,6 +112,14 @@ def test_a_model_that_errs_no_more_is_learnt_from(machine):
     assert wider.min() > -1e-9 and 0.0 < wider.max() < 0.5
 
 
+@pytest.mark.parametrize('bias, faulty', [(0.08, ()), (0.25, ('b',))])
+def test_while_it_learns_faults_beyond_eight_times_the_designed_noise_are_found(bias, faulty):
+    machine = Machine()
+    machine.run(50.0, motion=0.1)
+    verdict = machine.run(10.0, of('b', lambda reading, time, random: reading + bias), motion=0.1)
+    assert verdict.faulty == faulty
+
+
 def test_an_alarm_that_falls_silent_for_want_of_samples_teaches_nothing(machine):
     assert machine.run(4.0, estimates=all_wrong).state == 'model'
     for _ in range(150):  # no virtual sensor runs, for longer than an alarm is remembered
