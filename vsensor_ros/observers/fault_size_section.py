@@ -23,7 +23,7 @@ from vsensor_ros.observers.kinds import kind_named, kind_names
 
 _KEYS = ('name', 'method', 'response', 'noise', 'deviation', 'assumed', 'disturbed', 'observer',
          'injection', 'others', 'why_not')
-BEYOND = 1e20  # with which, and with whose inverse, no injection can be stepped
+BEYOND = 1e30  # with such numbers no injection can be stepped
 
 
 def fault_sizes_record(sizes: FaultSizes) -> dict[str, Any]:
@@ -115,9 +115,10 @@ def _read_injection(reader: CheckedObject, method: str, design: Contents) -> Inj
     largest = item.positive('largest')
     change = item.positive('change') if method == TWISTING else item.size('change')
     for key, numbers in (('N', N), ('f', f), ('c', c), ('largest', largest), ('change', change)):
-        sizes = np.abs(numbers)
-        if np.any(sizes > BEYOND) or np.any((sizes > 0.0) & (sizes < 1.0 / BEYOND)):
-            raise item.fail(key, f'has a number beyond {BEYOND:g} or its inverse')
+        if np.any(np.abs(numbers) > BEYOND):
+            raise item.fail(key, f'has a number beyond {BEYOND:g}')
+    if method == TWISTING and change < 1.0 / BEYOND:
+        raise item.fail('change', f'is less than {1.0 / BEYOND:g}')
     return Injection(N, f, c, largest, change)
 
 
