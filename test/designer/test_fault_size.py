@@ -70,6 +70,10 @@ BREAKS = {  # what stands in the way of a sliding mode, and of nothing else
                               'the fault of u1 is not in the derivative of any residual'),
     'unstable zero': (plant([[-1.0, 1.0], [0.0, -1.0]], [1.0, -3.0], [[1.0, 0.0]]), 'u1',
                       'does not die out (zero at 2 1/s)'),
+    'reads commands alone': (plant([[-1.0]], [1.0], [[1.0], [0.0]], Cu=[[0.0], [1.0]]), 'y2',
+                             'every residual feels y2 directly'),
+    'reads nothing': (plant([[-1.0]], [1.0], [[1.0], [0.0]]), 'y2',
+                      'every residual feels y2 directly'),
     'sampled': (plant([[0.9]], [1.0], [[1.0]], sample_time=0.1), 'u1',
                 'a sliding mode is of continuous time'),
 }
@@ -88,7 +92,8 @@ def test_the_same_plants_without_that_flaw_have_one():
     for made, faulty in ((plant(A3, [1.0, 0.0, 0.0], C3), 'y1'),
                          (plant([[0.0]], [1.0], [[1.0]]), 'u1'),  # nothing has a rate there
                          (plant([[0.0, 1.0], [-1.0, -1.0]], [1.0, 1.0], [[1.0, 0.0]]), 'u1'),
-                         (plant([[-1.0, 1.0], [0.0, -1.0]], [1.0, 3.0], [[1.0, 0.0]]), 'u1')):
+                         (plant([[-1.0, 1.0], [0.0, -1.0]], [1.0, 3.0], [[1.0, 0.0]]), 'u1'),
+                         (plant([[0.0]], [1.0], [[1.0], [1.0]]), 'u1')):  # nothing moves by itself
         assert not isinstance(size_of(made, faulty, method=SLIDING), str)
 
 

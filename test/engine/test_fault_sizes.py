@@ -79,6 +79,27 @@ def test_without_noise_the_papers_observer_errs_by_half_a_step(h, most, seconds)
     assert np.abs(error).max() < 0.02 * most
 
 
+def test_a_size_is_unknown_until_the_injection_has_settled_and_after_a_gap():
+    size = fault_size(TANKS, design(TANKS), 'y1', 0.3, SLIDING)
+    steps = Sizes([size], TANKS.sensors, 0.01, {})
+    for residuals in ([0.0] * 100, [np.nan, *[0.0] * 100]):
+        known = []
+        for residual in residuals:
+            steps.step(START, np.zeros(2), np.array([residual]))
+            known.append(np.isfinite(steps.now(())[0].value))
+        assert not any(known[:89]) and known[-1]  # three responses
+
+
+def test_who_is_faulty_misleads_about_others_and_an_angle_is_the_short_way_round():
+    size = fault_size(TANKS, design(TANKS), 'y1', 0.3, VIRTUAL)
+    steps = Sizes([size], TANKS.sensors, 0.01, {'y1': 2.0 * np.pi})
+    for _ in range(3):
+        steps.step(START, np.array([3.0, 0.0]), np.array([-3.0]))
+    (said,) = steps.now(('y1', 'y2'))
+    assert said.misled_by == ('y2',) and said.value == pytest.approx(6.0 - 2.0 * np.pi)
+    assert steps.now(('y1',))[0].misled_by == ()
+
+
 def test_each_method_is_as_noisy_as_it_says():
     made, sizes = methods_of(TANKS, 'y1', 0.3)
     t, d, u, y = of_tanks(0.01, lambda t: 0.0 * t, 40.0, 0.005)

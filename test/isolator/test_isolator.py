@@ -114,6 +114,26 @@ def test_a_model_that_errs_no_more_is_learnt_from(machine):
     assert wider.min() > -1e-9 and 0.0 < wider.max() < 0.5
 
 
+@pytest.mark.parametrize('bias, faulty', [(0.08, ()), (0.25, ('b',))])
+def test_while_it_learns_faults_beyond_eight_times_the_designed_noise_are_found(bias, faulty):
+    machine = Machine()
+    machine.run(50.0, motion=0.1)
+    verdict = machine.run(10.0, of('b', lambda reading, time, random: reading + bias), motion=0.1)
+    assert verdict.faulty == faulty
+
+
+def test_an_alarm_that_falls_silent_for_want_of_samples_teaches_nothing(machine):
+    assert machine.run(4.0, estimates=all_wrong).state == 'model'
+    for _ in range(150):  # no virtual sensor runs, for longer than an alarm is remembered
+        machine.tick += 1
+        readings = np.sin(machine.phase) + NOISE * machine.random.standard_normal(3)
+        verdict = machine.isolator.step(machine.tick * round(PERIOD * 1e9), readings,
+                                        np.full(3, np.nan))
+    assert verdict.state == 'healthy'
+    assert machine.run(4.0, estimates=all_wrong).state == 'model'
+    assert np.isneginf(machine.isolator.watch.detector.taught).all()
+
+
 def test_a_sensor_that_is_cleared_while_faulty_is_found_again_and_teaches_nothing(machine):
     for _ in range(8):
         verdict = machine.run(20.0, of('b', FAULTS['bias']), until=lambda v: v.faults)

@@ -74,11 +74,21 @@ BROKEN = {
     'no gain': (lambda s: s['found'][2]['injection'].update(largest=0.0), 'injection.largest'),
     'follows nothing': (lambda s: s['found'][2]['injection'].update(change=0.0),
                         'injection.change'),
+    'injection beyond all numbers': (lambda s: s['found'][2]['injection'].update(N=[[-1e200]]),
+                                     'injection.N: has a number beyond 1e+30'),
+    'change that is hardly one': (lambda s: s['found'][2]['injection'].update(change=5e-324),
+                                  'injection.change'),
     'of two shapes': (lambda s: s['found'][2]['injection'].update(c=[1.0, 2.0]), 'injection.c'),
     'beside itself': (lambda s: s['found'][1]['others'].update({WALK: 1.0}), 'found[1].method'),
     'refused and found': (lambda s: s['refused'].update(y2='no'), 'y2 is found, too'),
     'line break': (lambda s: s['refused'].update(y1='a\nb'), 'refused.y1'),
 }
+
+
+def test_numbers_that_are_zero_but_for_rounding_are_read(path):
+    rewrite(path, lambda record: record['fault_sizes']['found'][2]['injection'].update(
+        N=[[-1.0, 1e-40], [0.0, -2.0]], f=[0.5, 1e-40], c=[2.0, 1e-40]))
+    assert Design.load(path).fault_sizes.found[2].injection.N[0, 1] == 1e-40
 
 
 @pytest.mark.parametrize('name', BROKEN)

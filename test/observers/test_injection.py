@@ -60,6 +60,13 @@ def test_super_twisting_follows_any_fault_that_changes_no_faster_than_it_was_tol
     assert np.abs(slow[200:, -1] - fault[200:]).max() > 0.3
 
 
+def test_super_twisting_tells_no_more_than_its_largest():
+    size, step = super_twisting(OF, H)
+    fault = 1.8 * np.arange(0.0, 6.0, H)  # to 10.8, more than twice the largest
+    told = fed(step, size, residual_of(fault))[:, -1]
+    assert told.max() == told[-1] == OF.largest
+
+
 def test_at_rest_super_twisting_is_still():
     size, step = super_twisting(OF, H)
     states = fed(step, size, residual_of(np.full(600, 0.7)))

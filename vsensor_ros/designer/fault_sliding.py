@@ -18,9 +18,10 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from vsensor_ros.designer.fault_walk import fault_columns, of_readings
 from vsensor_ros.designer.invariant_spaces import filter_candidate
 from vsensor_ros.designer.isolability import blind_to, Checks, checks
-from vsensor_ros.designer.noise import Filter, mean_rate, noise_model, NoiseModel, riccati
+from vsensor_ros.designer.noise import Filter, noise_model, NoiseModel, riccati, usual_decay
 from vsensor_ros.designer.observer import build
 from vsensor_ros.designer.problem import Problem
+from vsensor_ros.designer.quotient import Quotient
 from vsensor_ros.designer.stability import lasting
 from vsensor_ros.designer.start import started
 from vsensor_ros.designer.subspaces import kernel, left_kernel, RANK_TOLERANCE, unobservable
@@ -112,15 +113,14 @@ def sliding(plant: Plant, channel: str, largest: float) -> Sliding | Reason:
     problem, moves, shows = _posed(plant, channel)
     found = checks(problem)
     known = found.slopes
-    direct = known.R @ shows
-    if len(direct) and np.abs(direct).max() > RANK_TOLERANCE * np.abs(shows).max():
+    if _reaches(known, shows):
         # as if the state that it reads were disturbed: what is left reads it, and checks others
         t = np.linalg.lstsq(problem.C0, problem.Y @ shows, rcond=None)[0]
-        found = checks(replace(problem, D=np.hstack([
-            problem.D, (t / np.linalg.norm(t))[:, None]])))
-        known = found.slopes
-        direct = known.R @ shows
-        if len(direct) and np.abs(direct).max() > RANK_TOLERANCE * np.abs(shows).max():
+        size = np.linalg.norm(t)
+        if size > 0.0:  # it reads states, not commands alone
+            found = checks(replace(problem, D=np.hstack([problem.D, (t / size)[:, None]])))
+            known = found.slopes
+        if _reaches(known, shows):
             return Reason.of('sliding, reads it', channel=channel)
     if not known.order or not len(known.E):
         return Reason.of('sliding, nothing checks', names=plant.disturbances)
@@ -136,6 +136,11 @@ def sliding(plant: Plant, channel: str, largest: float) -> Sliding | Reason:
     p /= p @ seen  # p E f = 1, as quiet as can be
     L = _gain(found, noise, f, p)
     return L if isinstance(L, Reason) else _built(plant, found, channel, f, p, L, largest)
+
+
+def _reaches(known: Quotient, shows: np.ndarray) -> bool:
+    """Tell whether a fault of the readings is in a residual directly."""
+    return np.abs(known.R @ shows).max(initial=0.0) > RANK_TOLERANCE * np.abs(shows).max()
 
 
 def _posed(plant: Plant, channel: str) -> tuple[Problem, np.ndarray, np.ndarray]:
@@ -174,7 +179,7 @@ def _gain(found: Checks, noise: NoiseModel, f: np.ndarray, p: np.ndarray) -> np.
             except (np.linalg.LinAlgError, ValueError):
                 return Reason.of('size, no filter')
             L = T @ np.linalg.solve(meter, E @ P).T
-    push = max(abs(float(c @ known.A @ f)), known.speed, mean_rate(found.problem))
+    push = max(abs(float(c @ known.A @ f)), known.speed, usual_decay(found.problem))
     for _ in range(40):
         whole = L + push * np.outer(f, p)
         if not lasting(known.A - whole @ known.E, None, known.speed)[1].any():

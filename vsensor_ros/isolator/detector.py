@@ -187,6 +187,10 @@ class Detector:
             self.thresholds[both, columns] = np.maximum(found, self.taught[both, columns])
             self._limits[w][:, test][:, columns] = self.thresholds[both, columns]
 
+    def full(self, columns: NDArray[np.int64]) -> bool:
+        """Tell whether all windows of these are full: only then is silence no loss of samples."""
+        return bool((self.filled[columns] >= self._full[-1]).all())
+
     def width(self, due: int) -> Floats:
         """Return half of what is between the thresholds of the first windows (due, 1, 2, n)."""
         return self._limits[:due].mean(axis=1, keepdims=True)

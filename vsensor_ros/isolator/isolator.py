@@ -156,7 +156,8 @@ class Isolator:
         direct = self._direct()
         if diagnosis.stands or direct or np.count_nonzero(alarms):
             diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
-            if excusable is not None and not diagnosis.stands:
+            if excusable is not None and not diagnosis.stands \
+                    and self.watch.detector.full(excusable):
                 self._admit(excusable)
             self._follow(time, direct)
         if self._count_spikes(now) or not healthy or diagnosis.stands or self._verdict.time == 0 \

@@ -23,6 +23,7 @@ from vsensor_ros.observers.kinds import kind_named, kind_names
 
 _KEYS = ('name', 'method', 'response', 'noise', 'deviation', 'assumed', 'disturbed', 'observer',
          'injection', 'others', 'why_not')
+BEYOND = 1e30  # with such numbers no injection can be stepped
 
 
 def fault_sizes_record(sizes: FaultSizes) -> dict[str, Any]:
@@ -111,8 +112,14 @@ def _read_injection(reader: CheckedObject, method: str, design: Contents) -> Inj
         raise item.fail('c', 'is not 1 times f')
     if np.linalg.eigvals(N).real.max() >= 0.0:
         raise item.fail('N', 'is unstable')
-    return Injection(N, f, c, item.positive('largest'),
-                     item.positive('change') if method == TWISTING else item.size('change'))
+    largest = item.positive('largest')
+    change = item.positive('change') if method == TWISTING else item.size('change')
+    for key, numbers in (('N', N), ('f', f), ('c', c), ('largest', largest), ('change', change)):
+        if np.any(np.abs(numbers) > BEYOND):
+            raise item.fail(key, f'has a number beyond {BEYOND:g}')
+    if method == TWISTING and change < 1.0 / BEYOND:
+        raise item.fail('change', f'is less than {1.0 / BEYOND:g}')
+    return Injection(N, f, c, largest, change)
 
 
 def _texts(reader: CheckedObject, key: str, names: tuple[str, ...]) -> dict[str, str]:
