@@ -6,6 +6,8 @@ from three_sensors import Machine, NOISE, of, PERIOD, RESIDUALS
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.isolator import Isolator, Settings
+from vsensor_ros.isolator.detector import WIDEST
+from vsensor_ros.isolator.diagnosis import PASSES
 from vsensor_ros.observers import Residual
 
 
@@ -96,7 +98,8 @@ def all_wrong(readings):
 def test_a_model_that_errs_again_and_again_is_told_a_few_times_only(machine):
     said = []
     for _ in range(12):
-        said.append(machine.run(8.0, estimates=all_wrong).state)
+        said.append(machine.run(8.0, estimates=lambda readings: (
+            readings + 0.4 * (all_wrong(readings) - readings))).state)
         machine.isolator.clear('a')
         machine.run(20.0)
     assert set(said) == {'model', 'healthy'}  # a part of the residuals alarms no sensor
@@ -104,6 +107,25 @@ def test_a_model_that_errs_again_and_again_is_told_a_few_times_only(machine):
     machine.run(310.0)
     verdict = machine.run(8.0, of('b', lambda reading, time, random: reading + 5.0))
     assert verdict.faulty == ('b',)
+
+
+def test_a_fault_soon_after_the_model_was_blamed_is_found_and_never_taught(machine):
+    assert machine.run(4.0, estimates=all_wrong).state == 'model'
+    assert machine.run(30.0).state == 'healthy'
+    biased = of('b', lambda reading, time, random: reading + 20 * NOISE)
+    assert machine.run(PASSES + 5.0, biased).faulty == ('b',)
+    for _ in range(4):
+        machine.isolator.clear('b')
+        assert machine.run(PASSES + 5.0, biased).faulty == ('b',)
+
+
+def test_who_clears_the_model_many_times_hides_no_large_fault(machine):
+    thresholds = machine.isolator.watch.detector.thresholds.copy()
+    both = of('b', lambda reading, time, random: reading + 40 * NOISE)
+    for _ in range(12):
+        if machine.run(15.0, both, estimates=all_wrong).state == 'model':
+            machine.isolator.clear('b')
+    assert (machine.isolator.watch.detector.thresholds <= (WIDEST + 0.1) * thresholds).all()
 
 
 def test_a_model_that_errs_no_more_is_learnt_from(machine):

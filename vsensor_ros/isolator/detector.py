@@ -21,7 +21,8 @@ TESTS = 4 * len(WINDOWS)  # of a column: level and contrast, above and below
 SPAN = 5 * WINDOWS[-1]  # samples that are kept
 ENOUGH = 300.0  # s of a healthy machine, before which its record is not trusted
 AT_ONCE = 64  # columns whose thresholds are computed in one step
-WIDER = 0.5  # times its width is a test widened, when what alarmed is taken for healthy
+WIDER = 0.5  # times its width is a test widened, when what alarmed is taken for healthy,
+WIDEST = 3.0  # but so never to more than so many times what the record says
 GROWTH = 1.25  # of what was learnt, until thresholds are computed anew
 
 Bools = NDArray[np.bool_]
@@ -184,7 +185,9 @@ class Detector:
             found = np.add(off, thresholds(np.subtract(maxima, off), count,
                                            np.divide(1.0 / self.false_alarms, block)))
             found = np.where(trusted & np.isfinite(found), found, self.prior[columns])
-            self.thresholds[both, columns] = np.maximum(found, self.taught[both, columns])
+            most = found + (WIDEST - 1.0) * found.mean(axis=0)
+            self.thresholds[both, columns] = np.maximum(
+                found, np.minimum(most, self.taught[both, columns]))
             self._limits[w][:, test][:, columns] = self.thresholds[both, columns]
 
     def full(self, columns: NDArray[np.int64]) -> bool:

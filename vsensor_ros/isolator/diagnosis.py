@@ -11,7 +11,8 @@ from vsensor_ros.isolator.conflicts import bits, least_hitting_sets
 from vsensor_ros.isolator.detector import Bools
 
 AT_ONCE = 5.0  # s within which all alarms together mean the model, and no sensor
-ANEW = 300.0  # s after a verdict of the model has ended, in which alarms are the model's, too
+ANEW = 300.0  # s after a verdict of the model has ended, in which alarms are the model's, too,
+PASSES = 10.0  # unless they last longer than so many s
 FORGOTTEN = 10.0  # s without an alarm, after which conflicts that blamed nobody are over
 
 
@@ -31,6 +32,7 @@ class Diagnosis:
         self.model = False
         self._last = -np.inf  # alarm
         self._excused = -np.inf  # the last end of a verdict that blamed the model
+        self._errs = False  # the model is blamed because it was lately
 
     @property
     def stands(self) -> bool:
@@ -47,7 +49,7 @@ class Diagnosis:
             new |= self.direct.setdefault(sensor, time) == time
         if alarms.any():
             self._last = time
-        if new:
+        if new or self._errs and self.conflicts and not self._errs_again(time):
             self._judge(time, running)
         elif self.conflicts and not self.found and time - self._last > FORGOTTEN:
             if self.model:
@@ -61,8 +63,8 @@ class Diagnosis:
         known = sum(self.found)
         # who was found stays, as long as that is as likely as anything else
         sets = [mask for mask in sets if mask & known == known] or sets
-        self.model = self._errs_again(time) or not self.direct and self._all_at_once(
-            time, running, sets)
+        self._errs = self._errs_again(time)
+        self.model = self._errs or not self.direct and self._all_at_once(time, running, sets)
         if self.model or not sets:
             self.model = True
             blamed = {s for s, since in self.found.items() if time - since > AT_ONCE}
@@ -87,7 +89,8 @@ class Diagnosis:
         """Tell whether the model was blamed lately, and what alarms has no other reason."""
         reasons = sum(self.found.keys() | self.direct.keys())
         return time - self._excused <= ANEW and any(
-            not self.supports[check] & reasons for check in self.conflicts)
+            not self.supports[check] & reasons for check in self.conflicts) and \
+            time - min(self.conflicts.values()) <= PASSES
 
     def forgive(self, sensor: int, time: float, running: Bools) -> list[int]:
         """Believe a sensor again; return the checks whose conflicts it has taken along."""
