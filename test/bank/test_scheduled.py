@@ -168,7 +168,8 @@ def test_a_design_file_holds_it_and_is_checked(made, tmp_path):
     assert read.kind == 'takagi_sugeno' and read.memberships == mine.memberships
     assert np.array_equal(read.N, mine.N) and read.half_width == mine.half_width
     for key, value in (('memberships', ['2'] * len(mine.N)), ('start', 0.5), ('decay', 0.0),
-                       ('S', (-mine.S).tolist()), ('reads', ['encoder', 'amp_d']), ('N', [[1.0]])):
+                       ('S', (-mine.S).tolist()), ('reads', ['encoder', 'amp_d']), ('N', [[1.0]]),
+                       ('N', (-mine.N).tolist()), ('decay', 10.0 * mine.decay)):
         text = json.loads((tmp_path / 'one.json').read_text())
         [section] = [one for one in text['entries'] if one['kind'] == 'takagi_sugeno']
         section[key] = value

@@ -1,6 +1,7 @@
 """Scheduled virtual sensors: equalities, inequalities and what they prove, beside the truth."""
 
 from dataclasses import replace
+import sys
 
 from hypothesis import given, settings, strategies as st
 import numpy as np
@@ -311,3 +312,11 @@ def test_a_curve_counts_where_it_is_flattest(tmp_path):
     straight = of_tank(tmp_path, 'measures: flow, noise: 0.01',
                        f'measures: {steep}*flow, noise: {0.01 * steep * 2 * np.sqrt(4.1)}')
     assert curved.half_width == pytest.approx(straight.half_width, rel=0.05)
+
+
+def test_a_refusal_says_what_the_desk_lacks(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'cvxpy', None)
+    found = of_tank(tmp_path)
+    assert isinstance(found, Refusal)
+    assert found.reason.endswith(
+        'were not sought: cvxpy is not installed: pip install cvxpy clarabel')
