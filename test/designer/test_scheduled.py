@@ -259,6 +259,12 @@ def test_a_design_says_why_it_takes_none(motor, load, why):
         ('encoder',), 'encoder'].reason
 
 
+def test_with_more_faults_it_is_said_once_why_there_is_none(motor):
+    both = design(motor, [['encoder'], ['amp_d', 'encoder']])[('amp_d', 'encoder'), 'encoder']
+    assert both.reason.count('gains that follow the readings') == 1
+    assert 'iq = 0 the healthy' in both.reason  # and not 1.4e-11
+
+
 def test_a_half_width_as_wide_as_the_range_is_of_no_use(tmp_path):
     text = MOTOR.replace('id: {range: [-50, 50]}', 'id: {range: [-10, 50]}')
     found = {}

@@ -219,7 +219,7 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
             over = _scheduled(plant, key, choices.decay or SLOWEST * usual_decay(problem))
             if isinstance(over, ScheduledSensor):
                 return replace(over, why=_why(found))
-            if over is not None:
+            if over is not None and lost is None:  # else that with fewer faults has said it
                 found = _not_scheduled(found, over)
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
