@@ -71,6 +71,47 @@ def run(made, seconds, wanted, seed=0):
             x = x + h * slope(middle, u, load)
 
 
+TANK = """
+name: tank
+time: continuous
+states: {level: {range: [0.2, 4]}, flow: {range: [0, 4]}}
+inputs: {pump: {range: [0, 3], operating: 1}, valve: {range: [0.2, 1], operating: 0.5}}
+disturbances: {leak: {range: [-0.1, 0.1]}}
+dynamics: {level: pump - 0.8*valve*level + leak, flow: 16*valve*level - 20*flow}
+sensors: {gauge: {measures: level, noise: 0.01}, meter: {measures: flow, noise: 0.01}}
+"""
+
+
+@pytest.mark.parametrize('comes', [
+    lambda k: k % 20 == 0, lambda k: k % 300 < 255], ids=['slowly', 'with gaps'])
+def test_readings_that_are_held_or_far_apart_are_counted_with(tmp_path, comes):
+    (tmp_path / 'tank.yaml').write_text(TANK)
+    bank = Bank(design(load_plant(tmp_path / 'tank.yaml'), [('gauge',)]), 100.0)
+    x, step, claimed, held, off, said = np.array([1.0, 1.0]), 0.01, 0, 0, [], []
+    for k in range(1500):
+        now, valve = k * 10_000_000, 1.0 if k // 33 % 2 else 0.2
+        pump, leak = float(np.clip(2.0 if k // 200 % 2 else 0.7 * (2.5 - x[0]), 0.0, 3.0)), 0.1
+        if comes(k):
+            bank.take('meter', now, x[1])
+        bank.take('pump', now, pump)
+        bank.take('valve', now, valve)
+        bank.advance(now)
+        interval = bank.interval(('gauge',), 'gauge')
+        if interval is not None:
+            claimed += 1
+            assert interval[0] <= x[0] <= interval[1]
+        held += not comes(k) and k > 0
+        assert comes(k) or interval is None
+        if bank.ready(('gauge',), 'gauge'):
+            off.append(abs(bank.estimate(('gauge',), 'gauge') - x[0]))
+            said.append(bank.deviation(('gauge',), 'gauge'))
+        for _ in range(20):
+            x = x + step / 20 * np.array([pump - 0.8 * valve * x[0] + leak,
+                                          16 * valve * x[0] - 20 * x[1]])
+    assert claimed > 50 and held > 100 and len(off) > 500
+    assert np.mean(np.array(off) <= 2.0 * np.array(said)) > 0.95
+
+
 def turning(t, w):
     """Go from one end of what id may be to the other, and about with the speed."""
     return 20 + 25 * np.sin(5 * t), np.clip(0.5 * (150 * np.sin(4 * t) - w), -40, 40)
@@ -127,7 +168,8 @@ def test_a_design_file_holds_it_and_is_checked(made, tmp_path):
     assert read.kind == 'takagi_sugeno' and read.memberships == mine.memberships
     assert np.array_equal(read.N, mine.N) and read.half_width == mine.half_width
     for key, value in (('memberships', ['2'] * len(mine.N)), ('start', 0.5), ('decay', 0.0),
-                       ('S', (-mine.S).tolist()), ('reads', ['encoder', 'amp_d']), ('N', [[1.0]])):
+                       ('S', (-mine.S).tolist()), ('reads', ['encoder', 'amp_d']), ('N', [[1.0]]),
+                       ('N', (-mine.N).tolist()), ('decay', 10.0 * mine.decay)):
         text = json.loads((tmp_path / 'one.json').read_text())
         [section] = [one for one in text['entries'] if one['kind'] == 'takagi_sugeno']
         section[key] = value

@@ -1,10 +1,12 @@
 """Scheduled virtual sensors: equalities, inequalities and what they prove, beside the truth."""
 
 from dataclasses import replace
+import sys
 
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
 from vsensor_ros import design
 from vsensor_ros.bad_input import BadInput
@@ -257,6 +259,12 @@ def test_a_design_says_why_it_takes_none(motor, load, why):
         ('encoder',), 'encoder'].reason
 
 
+def test_with_more_faults_it_is_said_once_why_there_is_none(motor):
+    both = design(motor, [['encoder'], ['amp_d', 'encoder']])[('amp_d', 'encoder'), 'encoder']
+    assert both.reason.count('gains that follow the readings') == 1
+    assert 'iq = 0 the healthy' in both.reason  # and not 1.4e-11
+
+
 def test_a_half_width_as_wide_as_the_range_is_of_no_use(tmp_path):
     text = MOTOR.replace('id: {range: [-50, 50]}', 'id: {range: [-10, 50]}')
     found = {}
@@ -270,3 +278,51 @@ def test_a_half_width_as_wide_as_the_range_is_of_no_use(tmp_path):
 
 def test_constant_gains_that_are_proved_go_before(motor):
     assert isinstance(design(motor, [['amp_d']])[('amp_d',), 'amp_d'], VirtualSensor)
+
+
+TANK = """
+name: tank
+time: continuous
+states: {level: {range: [0.2, 4]}, flow: {range: [0, 4]}}
+inputs: {pump: {range: [0, 3], operating: 1}, valve: {range: [0.2, 1], operating: 0.5}}
+disturbances: {leak: {range: [-0.1, 0.1]}}
+dynamics: {level: pump - 0.8*valve*level + leak, flow: 4*valve*level - 5*flow}
+sensors: {gauge: {measures: level, noise: 0.01}, meter: {measures: flow, noise: 0.01}}
+"""
+
+
+def of_tank(tmp_path, old='', new=''):
+    """Return what a design says of the tank's gauge, with one thing written otherwise."""
+    (tmp_path / 'tank.yaml').write_text(TANK.replace(old, new))
+    return design(load_plant(tmp_path / 'tank.yaml'), [('gauge',)])[('gauge',), 'gauge']
+
+
+def test_noise_of_the_process_is_in_the_half_width(tmp_path):
+    still = of_tank(tmp_path)
+    driven = of_tank(tmp_path, 'range: [0.2, 4]', 'range: [0.2, 4], process_noise: 0.2')
+    (tmp_path / 'own.yaml').write_text(TANK)
+    plant = from_equations(load_plant(tmp_path / 'own.yaml'), ['flow'])
+    moved = np.diag([0.2**2, 0.0])  # z is a rotation of both states: what is said is row @ x
+    Phi = scheduled(plant, ['gauge'], 'gauge', rate=still.decay, noise=[0.01, 0.01],
+                    unknown=[0.1]).Phi
+    for N in driven.N:
+        P = solve_continuous_lyapunov(N, -Phi @ moved @ Phi.T)
+        assert driven.half_width - still.half_width > 3.0 * np.sqrt((
+            driven.Cv @ P @ driven.Cv.T)[0, 0])
+
+
+def test_a_curve_counts_where_it_is_flattest(tmp_path):
+    curved = of_tank(tmp_path, 'measures: flow', 'measures: sqrt(flow + 0.1)')
+    # at 4 the slope is 0.25, and noise of 0.01 is one of 0.04; it is said in units at 0
+    steep = 0.5 / np.sqrt(0.1)
+    straight = of_tank(tmp_path, 'measures: flow, noise: 0.01',
+                       f'measures: {steep}*flow, noise: {0.01 * steep * 2 * np.sqrt(4.1)}')
+    assert curved.half_width == pytest.approx(straight.half_width, rel=0.05)
+
+
+def test_a_refusal_says_what_the_desk_lacks(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'cvxpy', None)
+    found = of_tank(tmp_path)
+    assert isinstance(found, Refusal)
+    assert found.reason.endswith(
+        'were not sought: cvxpy is not installed: pip install cvxpy clarabel')

@@ -181,3 +181,9 @@ def test_a_grid_has_a_submodel_for_each_point(tmp_path):
     path.write_text(GRID.replace('[1, 3]', '[1, 2, 3]'))
     with pytest.raises(BadInput, match='submodels: are 2; give 3, one a point of the grid'):
         load_takagi_sugeno(path)
+
+
+def test_a_plant_file_without_submodels_is_told_so(tmp_path):
+    (tmp_path / 'plant.yaml').write_text('name: cart\ndynamics: {v: u}\n')
+    with pytest.raises(BadInput, match='submodels: are missing'):
+        load_takagi_sugeno(tmp_path / 'plant.yaml')

@@ -219,7 +219,7 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
             over = _scheduled(plant, key, choices.decay or SLOWEST * usual_decay(problem))
             if isinstance(over, ScheduledSensor):
                 return replace(over, why=_why(found))
-            if over is not None:
+            if over is not None and lost is None:  # else that with fewer faults has said it
                 found = _not_scheduled(found, over)
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
@@ -317,16 +317,17 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
 
 
 def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason | None:
-    """Return one that follows the readings; why not, where the desk could say; None: not asked."""
+    """Return one that follows the readings, or why there is none; None: not for such a plant."""
     try:
-        return over_the_ranges(plant, *key, rate)
-    except ImportError:  # the certificate has said what is missing
-        return None
+        over = over_the_ranges(plant, *key, rate)
+    except ImportError as error:
+        return Reason.of('scheduled not sought', missing=str(error))
+    return Reason.of('not scheduled', why=say(over)) if isinstance(over, Reason) else over
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:
     """Say why gains that follow the readings would not do better."""
-    nor = say(Reason.of('not scheduled', why=say(why)))
+    nor = say(why)
     return (replace(entry, reason=f'{entry.reason}; {nor}') if isinstance(entry, Refusal)
             else replace(entry, method=f'{entry.method}; {nor}'))
 

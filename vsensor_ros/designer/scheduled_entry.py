@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
@@ -11,6 +13,7 @@ from vsensor_ros.plant import from_equations, Plant
 from vsensor_ros.reason import Reason
 
 MOST = 16  # submodels that a design tries
+_LOOKED_AT = 200  # points of a curve
 
 
 def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
@@ -34,17 +37,40 @@ def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
         return None
     if not 1 < len(made.A) <= MOST:
         return None
-    answer = scheduled(made, fault_set, channel, rate=rate, noise=plant.noise,
+    noise = _reading_noise(plant)
+    answer = scheduled(made, fault_set, channel, rate=rate, noise=noise,
                        unknown=abs(plant.disturbance_range).max(axis=1),
                        box=np.vstack([plant.ranges, plant.input_range]))
     if isinstance(answer, Reason):
         return answer
     if not np.isfinite(plant.ranges[answer.Phi.any(axis=0)]).all():
         return None
+    answer = replace(answer, half_width=answer.half_width + _driven(answer, plant))
     low, high = plant.reading_ranges().get(channel, (-np.inf, np.inf))
     if not answer.half_width < (high - low) / 2:
         return Reason.of('as wide as the range', half_width=answer.half_width, range=high - low)
-    return scheduled_entry(answer, plant.noise, plant.ranges)
+    return scheduled_entry(answer, noise, plant.ranges)
+
+
+def _reading_noise(plant: Plant) -> np.ndarray:
+    """Return the noise of linear readings (l,), of a curve where it is flattest."""
+    noise = plant.noise.copy()
+    for name, curve in plant.curves.items():
+        if curve.text:
+            noise[plant.sensors.index(name)] /= min(
+                map(curve.slope, np.linspace(curve.low, curve.high, _LOOKED_AT).tolist()))
+    return noise
+
+
+def _driven(observer: ScheduledObserver, plant: Plant) -> float:
+    """Return how far off white noise that drives the states leaves it, as noise of readings is."""
+    made, Phi, S = observer.plant, observer.Phi, observer.S
+    moved = np.concatenate([
+        np.broadcast_to(np.diag(plant.process_noise), (len(made.A), *made.A.shape[1:])),
+        made.B * plant.input_noise, made.E * plant.disturbance_noise], axis=2)
+    grows = (np.linalg.cholesky(S).T @ Phi @ np.nan_to_num(moved))**2  # of e' S e, in the mean
+    size = float(grows.sum(axis=(1, 2)).max()) / (2.0 * observer.rate)
+    return SPREAD * float(np.sqrt(size * (observer.Cv @ np.linalg.solve(S, observer.Cv.T))[0, 0]))
 
 
 def scheduled_entry(observer: ScheduledObserver, noise: np.ndarray,

@@ -237,6 +237,8 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'not built': _not_built,
 
     'not scheduled': lambda why: f'gains that follow the readings do no better: {why}',
+    'scheduled not sought': lambda missing: (
+        f'gains that follow the readings were not sought: {missing}'),
     'states without ranges': lambda channel: (
         f'what {channel} depends on has no range: declare where the states and inputs live'),
     'as wide as the range': lambda half_width, range: (

@@ -180,7 +180,8 @@ class TakagiSugeno:
 
     def told(self, at: np.ndarray) -> str:
         """Return premises (p,) in words: 'id = -21.9, iq = 0'."""
-        return ', '.join(f'{name} = {value:.4g}' for name, value in zip(self.premises, at)) \
+        exact = np.where(abs(at) > _SUM * np.diff(self.ranges)[:, 0], at, 0.0)
+        return ', '.join(f'{name} = {value:.4g}' for name, value in zip(self.premises, exact)) \
             or 'all times'
 
 

@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.expression import to_text
 from vsensor_ros.plant.entries import Entries
+from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.takagi_sugeno import grid_memberships, MOST_SUBMODELS, TakagiSugeno
 
 _TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'disturbances', 'sensors',
@@ -27,7 +29,11 @@ _TOP = ('name', 'description', 'time', 'parameters', 'states', 'inputs', 'distur
 
 def load_takagi_sugeno(path: str | Path) -> TakagiSugeno:
     """Read a plant file with submodels; raises BadInput, one line."""
-    file = Entries(path, _TOP)
+    content = read_yaml(path)
+    if isinstance(content, dict) and 'submodels' not in content:
+        raise BadInput(path, 'submodels', 'are missing', 'give a plant file with submodels '
+                       '(docs/scheduled.md); of dynamics from_equations makes some')
+    file = Entries(path, _TOP, content)
     of_states = file.section('states', ('unit', 'range', 'noise_bound'))
     of_inputs = file.section('inputs', ('unit', 'range'))
     of_disturbances = file.section('disturbances', ('unit',))

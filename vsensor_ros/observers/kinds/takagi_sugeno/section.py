@@ -54,6 +54,17 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         raise reader.fail('decay', 'must be positive')
     rest: dict[str, Any] = {
         **arrays, **numbers, 'why': reader.text('why') if 'why' in reader.record else ''}
-    return ScheduledSensor(channel, fault_set, reads, plant.inputs,
-                           reader.word('grade', ('exact', 'bounded')), premises,
-                           memberships=memberships, **rest)
+    found = ScheduledSensor(channel, fault_set, reads, plant.inputs,
+                            reader.word('grade', ('exact', 'bounded')), premises,
+                            memberships=memberships, **rest)
+    if not _falls(found):
+        raise reader.fail('N', "does not let e' S e fall at the rate of decay at all submodels")
+    return found
+
+
+def _falls(entry: ScheduledSensor) -> bool:
+    """Tell whether errors beyond the form fall at each submodel, but for rounding."""
+    root = np.linalg.cholesky(entry.S).T
+    slopes = root @ entry.N @ np.linalg.inv(root)
+    fastest = np.linalg.eigvalsh(slopes + slopes.transpose(0, 2, 1))[:, -1]
+    return bool((fastest <= -2.0 * entry.decay * (1.0 - 1e-9)).all())
