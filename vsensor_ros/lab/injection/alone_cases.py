@@ -36,6 +36,7 @@ from vsensor_ros.lab.injection.restart_cases import (
 )
 from vsensor_ros.lab.injection.sensor_cases import DRIFT, other_of, relapse, second_fault, SPIKE
 
+FADED = 0.8         # s until what a reading that was always wrong leaves behind is gone
 UNSEEN = 2.0        # s of a fault of which nobody must be blamed
 NOISIER = 24 ** 0.5     # times its own is added, so that the noise is five times as large
 LATE = 0.2          # s by which messages come late
@@ -269,6 +270,7 @@ def _restart(context: AloneContext, number: int, kind: str, **parts: float) -> N
             raise GaveUp
         context.isolate(target)
         context.expect(target, 'virtual', CONVERGED)
+        context.play(FADED)
     context.play(WATCHED)
     context.heal()
     context.believe(target)
