@@ -133,18 +133,18 @@ def test_the_node_passes(quick, capsys):
 def test_the_node_finds_out_alone(quick, capsys):
     rewrite(quick, lambda own: {'/**': {'ros__parameters': {
         **own['ros__parameters'], 'design_file': 'none'}}})
-    code = main(['--alone', '--only', 'bias', *quick])
+    code = main(['--alone', '--only', 'freeze', *quick])
     said = capsys.readouterr().out
     assert code == 0, said
     results = results_of(quick)
-    assert list(results) == ['learning', 'bias']
-    if results['bias']['outcome'] == 'PASS':    # else this computer was too busy to tell
-        y1, y2, y3 = results['bias']['faults']
-        assert (y1['sensor'], y1['kind']) == ('y1', None)   # the design says that nobody sees it
-        assert y2['kind'] == y3['kind'] == 'bias'
+    assert list(results) == ['learning', 'freeze']
+    if results['freeze']['outcome'] == 'PASS':    # else this computer was too busy to tell
+        y1, y2, y3 = results['freeze']['faults']
+        assert y1['kind'] == y2['kind'] == y3['kind'] == 'stuck'
+        assert (y1['sensor'], y1['replaced_s']) == ('y1', None)     # nothing can replace it
         assert max(y2['error'], y3['error']) < 0.05
     else:
-        assert 'too busy' in results['bias']['seen'], said
+        assert 'too busy' in results['freeze']['seen'], said
 
 
 def test_alone_needs_a_design_with_residuals(quick, capsys):
