@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import combinations
 import math
 import signal
 from typing import Any
@@ -31,10 +30,18 @@ from vsensor_ros.lab.injection.restart_cases import (
     clock_ahead,
     clock_back,
     DOWN,
+    end_process,
     paused_clock,
     two_replacers,
 )
-from vsensor_ros.lab.injection.sensor_cases import DRIFT, other_of, relapse, second_fault, SPIKE
+from vsensor_ros.lab.injection.sensor_cases import (
+    DRIFT,
+    other_of,
+    relapse,
+    second_fault,
+    SPIKE,
+    without_design,
+)
 
 FADED = 0.8         # s until what a reading that was always wrong leaves behind is gone
 UNSEEN = 2.0        # s of a fault of which nobody must be blamed
@@ -162,12 +169,7 @@ def frozen_together(context: AloneContext) -> None:
 
 def unknown_set(context: AloneContext) -> None:
     """Let a set of sensors freeze that there is no design for."""
-    sensors, tested = context.tested.plant.sensors, context.tested
-    sets = [names for size in range(len(sensors), 0, -1) for names in combinations(sensors, size)
-            if all(tested.serves(names, name) == 'none' for name in names)]
-    if not sets:
-        raise Skipped('every set of sensors has a design')
-    _freeze(context, sets[0], 'no valid source')
+    _freeze(context, without_design(context), 'no valid source')
 
 
 def _freeze(context: AloneContext, names: tuple[str, ...], *told: str) -> None:
@@ -257,10 +259,7 @@ def _restart(context: AloneContext, number: int, kind: str, **parts: float) -> N
     context.expect(target, 'virtual')
     context.play(0.3)
     with context.excused():
-        process, context.process = context.process, None    # its end is meant
-        assert process is not None
-        if trouble := context.end(process, number):
-            context.wrong.append(trouble)
+        end_process(context, number)
         context.forget()
         context.undetected(target)
         context.play(DOWN)

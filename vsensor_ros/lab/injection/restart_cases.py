@@ -25,6 +25,14 @@ DOWN = 0.5      # s between the end of a replacer and the start of the next
 JUMP = 20.0     # s
 
 
+def end_process(context: CaseContext, number: int) -> None:
+    """End the replacer by a signal, which is meant; note how it did not end as it should."""
+    process, context.process = context.process, None
+    assert process is not None
+    if trouble := context.end(process, number):
+        context.wrong.append(trouble)
+
+
 def _restart(context: CaseContext, number: int) -> None:
     """End the replacer while it replaces a sensor, and start it anew: it must know."""
     target = context.target
@@ -34,10 +42,7 @@ def _restart(context: CaseContext, number: int) -> None:
     context.expect(target, 'virtual')
     context.play(0.3)
     with context.excused():
-        process, context.process = context.process, None    # its end is meant
-        assert process is not None
-        if trouble := context.end(process, number):
-            context.wrong.append(trouble)
+        end_process(context, number)
         context.machine.latest = {}
         context.play(DOWN)
         context.machine.heard.told.clear()

@@ -118,12 +118,17 @@ def simultaneous(context: CaseContext) -> None:
 
 def unknown_set(context: CaseContext) -> None:
     """Let a set of sensors fail that there is no design for."""
+    _together(context, without_design(context), 'no valid source')
+
+
+def without_design(context: CaseContext) -> tuple[str, ...]:
+    """Return a set of sensors that there is no design for; raises Skipped when all have one."""
     sensors, tested = context.tested.plant.sensors, context.tested
     sets = [names for size in range(len(sensors), 0, -1) for names in combinations(sensors, size)
             if all(tested.serves(names, name) == 'none' for name in names)]
     if not sets:
         raise Skipped('every set of sensors has a design')
-    _together(context, sets[0], 'no valid source')
+    return sets[0]
 
 
 def silence(context: CaseContext) -> None:
