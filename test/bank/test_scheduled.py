@@ -1,5 +1,6 @@
 """A motor whose encoder is lost, by scheduled injection in the bank, beside its simulation."""
 
+from dataclasses import replace
 import json
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 from vsensor_ros import design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import Bank
-from vsensor_ros.observers import Design
+from vsensor_ros.designer.scheduled_entry import over_the_ranges
+from vsensor_ros.observers import Design, ScheduledSensor
+from vsensor_ros.observers.memberships import Weights
+from vsensor_ros.plant import from_equations
 
 pytest.importorskip('cvxpy')
 
@@ -176,3 +180,55 @@ def test_a_design_file_holds_it_and_is_checked(made, tmp_path):
         (tmp_path / 'bad.json').write_text(json.dumps(text))
         with pytest.raises(BadInput, match=key):
             Design.load(tmp_path / 'bad.json')
+
+
+ARM = """
+name: arm
+time: continuous
+states: {a: {range: [-3.1415927, 3.1415927]}, w: {range: [-20, 20]}}
+inputs: {torque: {range: [-20, 20]}}
+dynamics: {a: w, w: -4*w - 9*sin(a) - 0.5*cos(a)*w + torque}
+sensors:
+  encoder: {measures: a, noise: 0.001, wrap: 6.283185307179586}
+  tacho: {measures: w, noise: 0.05}
+"""
+
+
+def test_weights_of_an_angle_are_those_of_one_in_its_range(tmp_path):
+    (tmp_path / 'arm.yaml').write_text(ARM)
+    made = from_equations(load_plant(tmp_path / 'arm.yaml'), ['a'])
+    turns = np.array([2.0 * np.pi])
+    told, untold = (Weights([made], [np.array([[1.0, 0.0]])], *more) for more in ([[turns]], []))
+    for at in (-3.0, 0.4, 3.1):
+        here, inside = told.at(np.array([at, 0.0]))
+        for whole in (-3, 1, 2):
+            end = np.array([at + whole * turns[0], 0.0])
+            found, there = told.at(end)
+            np.testing.assert_allclose(found, here, atol=1e-9)
+            assert inside.all() and there.all() and not untold.at(end)[1].any()
+
+
+@pytest.mark.slow
+def test_an_angle_that_turns_over_stays_in_its_range(tmp_path):
+    """The arm turns three times; its speed is told from the encoder all along."""
+    (tmp_path / 'arm.yaml').write_text(ARM)
+    plant = load_plant(tmp_path / 'arm.yaml')
+    entry = over_the_ranges(plant, ('tacho',), 'tacho', 0.5)
+    assert isinstance(entry, ScheduledSensor)
+    assert entry.turns.tolist() == [2.0 * np.pi if name == 'a' else 0.0
+                                    for name in entry.premises]
+    made = replace(design(plant, [['tacho']], scheduled=False),
+                   entries={(('tacho',), 'tacho'): entry})
+    made.save(tmp_path / 'arm.json')
+    bank, x, off = Bank(Design.load(tmp_path / 'arm.json'), 200.0), np.zeros(2), []
+    for k in range(1800):
+        bank.take('encoder', k * 5_000_000, float(np.remainder(x[0] + np.pi, 2 * np.pi) - np.pi))
+        bank.take('torque', k * 5_000_000, 18.0)
+        bank.advance(k * 5_000_000)
+        if k > 900:
+            off.append(bank.estimate(('tacho',), 'tacho') - x[1])
+            assert bank.why_not(('tacho',), 'tacho') is None
+        for _ in range(10):
+            x = x + 5e-4 * plant.rate_of_change(x, np.array([18.0]))
+    assert x[0] > 6.0 * np.pi and bank.outside_domain.total() == 0
+    assert np.abs(off).max() < entry.half_width

@@ -256,6 +256,21 @@ def test_what_is_done_when_it_is_stopped_is_not_done_again(chain, alone, tmp_pat
     assert text_of(result, tmp_path) == text_of(alone, tmp_path)
 
 
+def test_what_was_answered_without_cvxpy_is_asked_again_with_it(chain, tmp_path, monkeypatch):
+    pytest.importorskip('cvxpy')
+    work, asked = tmp_path / 'work', []
+
+    def answers():
+        asked.clear()
+        design(chain, [('ya',)], work_file=work, executor=Meddling(
+            lambda k: asked.append(k)))
+        return len(asked)
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, 'cvxpy', None)
+        assert answers() == 1 and answers() == 0
+    assert answers() == 1 and answers() == 0
+
+
 def test_a_work_file_serves_more_fault_sets_and_a_line_that_was_cut_off_is_dropped(
         chain, tmp_path):
     work = tmp_path / 'work'

@@ -9,7 +9,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.scheduled import premises_from, scheduled, ScheduledObserver, SPREAD
 from vsensor_ros.observers import ScheduledSensor
-from vsensor_ros.plant import from_equations, Plant
+from vsensor_ros.plant import from_equations, Plant, TakagiSugeno
 from vsensor_ros.reason import Reason
 
 MOST = 16  # submodels that a design tries
@@ -49,7 +49,37 @@ def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
     low, high = plant.reading_ranges().get(channel, (-np.inf, np.inf))
     if not answer.half_width < (high - low) / 2:
         return Reason.of('as wide as the range', half_width=answer.half_width, range=high - low)
-    return scheduled_entry(answer, noise, plant.ranges)
+    entry = scheduled_entry(answer, noise, plant.ranges)
+    return replace(entry, turns=_turns(plant, made, entry))
+
+
+def _turns(plant: Plant, made: TakagiSugeno, entry: ScheduledSensor) -> np.ndarray:
+    """
+    Return of each premise (p,) by how much more all is the same, as of an angle; 0: by nothing.
+
+    It is so of one that is read by a single sensor that wraps, if the submodels depend on it by
+    their weights only, and the equations turn with it.
+    """
+    turns, random = np.zeros(len(entry.premises)), np.random.default_rng(0)
+    low, high = (np.where(np.isfinite(end), end, other)[:, None] for end, other in zip(
+        np.vstack([plant.ranges, plant.input_range]).T, (-1.0, 1.0)))
+    at = low + (high - low) * random.random((len(low), _LOOKED_AT))
+    n = len(plant.states)
+    for i, name in enumerate(entry.premises):
+        of = np.flatnonzero(entry.from_readings[i])
+        if len(of) != 1:
+            continue
+        turn = abs(plant.wrap[plant.sensors.index(entry.reads[of[0]])] * entry.from_readings[
+            i, of[0]])
+        state = plant.states.index(name)
+        if not turn > 0.0 or made.A[:, :, state].any():
+            continue
+        on = at.copy()
+        on[state] += turn
+        here, there = (plant.rate_of_change(points[:n], points[n:]) for points in (at, on))
+        if np.allclose(here, there, rtol=1e-9, atol=1e-9):
+            turns[i] = turn
+    return turns
 
 
 def _reading_noise(plant: Plant) -> np.ndarray:

@@ -6,6 +6,7 @@ A solver's word counts for nothing: what it returns has to be checked by eigenva
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 import warnings
@@ -13,6 +14,11 @@ import warnings
 import numpy as np
 
 MISSING = 'cvxpy is not installed: pip install cvxpy clarabel'
+
+
+def is_there() -> bool:
+    """Tell whether cvxpy is installed, without loading it."""
+    return find_spec('cvxpy') is not None
 
 
 def solver() -> ModuleType:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
+from vsensor_ros.designer.semidefinite import is_there
 from vsensor_ros.observers import Entry, Key, Refusal
 from vsensor_ros.observers.checked_json import CheckedObject, LARGEST_FILE, parse_json
 from vsensor_ros.observers.contents import Contents
@@ -34,8 +35,9 @@ class WorkFile:
     Answers by fault set and channel, in a file that is made with the first of them.
 
     An answer holds while the same refusal with fewer faults came before it: ``lost``, None where
-    none did. Raises BadInput, one line, for a file that is of another plant or of other
-    choices, or malformed; a last line that was cut off is dropped.
+    none did; one that was made without cvxpy, until that is there. Raises BadInput, one line, for
+    a file that is of another plant or of other choices, or malformed; a last line that was cut
+    off is dropped.
     """
 
     def __init__(self, path: str | Path, plant: Plant, choices: Mapping[str, Any],
@@ -56,7 +58,7 @@ class WorkFile:
     def add(self, entry: Entry | Refusal, lost: Refusal | None) -> None:
         """Keep an answer; raises BadInput when it cannot be written."""
         record = {'lost': list(lost.fault_set) if lost is not None else None,
-                  'entry': entry_record(entry)}
+                  'entry': entry_record(entry), **({} if is_there() else {'without_cvxpy': True})}
         try:
             with open(self._path, 'ab') as file:
                 if self._end is not None:
@@ -100,7 +102,9 @@ class WorkFile:
             self._check_head(record)
             return
         reader = CheckedObject(self._path, f'line {number}: ', record)
-        reader.only(('lost', 'entry'))
+        reader.only(('lost', 'entry', 'without_cvxpy'))
+        if reader.record.get('without_cvxpy') and is_there():
+            return  # more may be proved now
         lost = None
         if reader.record.get('lost', 0) is not None:
             lost = reader.names('lost')

@@ -59,20 +59,32 @@ class Weights:
     """
     The weights of the submodels of V entries.
 
-    premises: of each, (p, L + m), what makes them of L readings and m commands.
+    premises: of each, (p, L + m), what makes them of L readings and m commands. turns: of each,
+    (p,), by what a premise may be more and is the same, or 0; (0,): there is none.
     """
 
-    def __init__(self, entries: Sequence[Blended], premises: Sequence[np.ndarray]) -> None:
+    def __init__(self, entries: Sequence[Blended], premises: Sequence[np.ndarray],
+                 turns: Sequence[np.ndarray] = ()) -> None:
         self._of = [(np.asarray(e.ranges), rows, e.premises, Equations(
             [parse(text) for text in e.memberships], e.premises))
             for e, rows in zip(entries, premises)]
+        self._turns = [turns[i] if i < len(turns) and turns[i].any() else None
+                       for i in range(len(entries))]
         self._most = max(len(e.memberships) for e in entries)
 
     def inside(self, i: int, end: np.ndarray) -> bool:
         """Tell whether the premises of one are in their ranges at readings, commands (L + m,)."""
-        ranges, rows, _, _ = self._of[i]
-        at = rows @ end
+        ranges, at = self._of[i][0], self._premises(i, end)
         return bool(((ranges[:, 0] <= at) & (at <= ranges[:, 1])).all())
+
+    def _premises(self, i: int, end: np.ndarray) -> np.ndarray:
+        """Return the premises of one (p,), angles next to the middle of their ranges."""
+        ranges, rows, _, _ = self._of[i]
+        at, turns = rows @ end, self._turns[i]
+        if turns is None:
+            return np.asarray(at)
+        whole = np.rint((at - ranges.mean(axis=1)) / np.where(turns, turns, np.inf))
+        return np.asarray(at - turns * whole)
 
     def why_not(self, i: int, end: np.ndarray) -> Reason | None:
         """Return why nothing is proved of one there; None: it is."""
@@ -84,7 +96,6 @@ class Weights:
         h = np.zeros((len(self._of), self._most))
         inside = np.array([self.inside(i, end) for i in range(len(h))], dtype=bool)
         for i in np.flatnonzero(inside):
-            _, rows, _, weights = self._of[i]
-            found = weights.values((rows @ end)[:, None])[:, 0]
+            found = self._of[i][3].values(self._premises(i, end)[:, None])[:, 0]
             h[i, :len(found)] = found
         return h, inside

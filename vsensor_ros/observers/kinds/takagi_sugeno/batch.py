@@ -160,8 +160,8 @@ def make_batch(entries: Sequence[ScheduledSensor], design: Contents, period: flo
         slowest=1.0 / decay, warm_up=np.array([_until(e.start, e.decay) for e in entries]),
         proved=np.ones(V, dtype=bool), wants_held=True, wants_ages=True,
         entries=tuple(entries), period=period,
-        weights=Weights(entries, premises), N=N, drive=drive, a=a, first=first, row=row, S=form,
-        Q=Q, fading=np.exp(-2.0 * decay * period), pushes=pushes,
+        weights=Weights(entries, premises, [e.turns for e in entries]), N=N, drive=drive, a=a,
+        first=first, row=row, S=form, Q=Q, fading=np.exp(-2.0 * decay * period), pushes=pushes,
         gains=np.abs(Q) + pushes / decay[:, None])
 
 

@@ -21,6 +21,7 @@ def write_section(entry: ScheduledSensor) -> dict[str, Any]:
     return {'reads': list(entry.reads), 'grade': entry.grade, 'premises': list(entry.premises),
             'memberships': list(entry.memberships), 'order': entry.order,
             **({'why': entry.why} if entry.why else {}),
+            **({'turns': entry.turns.tolist()} if entry.turns.any() else {}),
             **{key: getattr(entry, key) for key in _NUMBERS},
             **{key: getattr(entry, key).tolist() for key in _ARRAYS}}
 
@@ -28,7 +29,8 @@ def write_section(entry: ScheduledSensor) -> dict[str, Any]:
 def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...], plant: Contents,
                  version: int) -> ScheduledSensor:
     """Read what write_section wrote; raises BadInput."""
-    reader.only(('reads', 'grade', 'premises', 'memberships', 'order', *_NUMBERS, *_ARRAYS, 'why'))
+    reader.only(('reads', 'grade', 'premises', 'memberships', 'order', *_NUMBERS, *_ARRAYS, 'why',
+                 'turns'))
     reads, premises = reader.names('reads'), reader.names('premises')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -53,7 +55,10 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     if not numbers['decay'] > 0.0:
         raise reader.fail('decay', 'must be positive')
     rest: dict[str, Any] = {
-        **arrays, **numbers, 'why': reader.text('why') if 'why' in reader.record else ''}
+        **arrays, **numbers, 'why': reader.text('why') if 'why' in reader.record else '',
+        'turns': reader.array('turns', p) if 'turns' in reader.record else np.zeros(0)}
+    if (rest['turns'] < 0.0).any():
+        raise reader.fail('turns', 'must not be negative')
     found = ScheduledSensor(channel, fault_set, reads, plant.inputs,
                             reader.word('grade', ('exact', 'bounded')), premises,
                             memberships=memberships, **rest)

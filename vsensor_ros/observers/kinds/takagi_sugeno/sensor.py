@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -43,6 +43,8 @@ class ScheduledSensor:
     half_width: float  # once e' S e <= 1 [unit of the channel]
     direct: float  # of that, what noise of the readings does without the states
     why: str = ''  # it stands there and not one with constant gains
+    # (p,) of premises that are angles: by so much more all is the same; 0, or (0,): by nothing
+    turns: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
