@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
 COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
-            'recording', 'replacer', 'wire')
+            'recording', 'replacer', 'replay', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}
@@ -38,13 +38,14 @@ ARROWS = {  # room: what it may import besides itself
                         'simulate'},
     'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},
     'commissioning': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab'},
-    'recordings': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab', 'commissioning'},
+    'recordings': LEAVES | {'plant', 'observers', 'engine', 'isolator', 'node', 'lab',
+                            'commissioning'},
     'command': LEAVES | {'plant', 'observers', 'designer', 'control', 'node', 'simulate',
-                         'report', 'lab', 'commissioning', 'recordings'},
+                         'report', 'lab', 'commissioning', 'recordings', 'engine', 'isolator'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
-DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',
-        'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'sympy',
+DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'jinja2', 'matplotlib', 'mujoco',
+        'pandas', 'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'sympy',
         'threadpoolctl'}  # never on the machine
 
 

@@ -87,7 +87,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
         dataset = Dataset(tuple(path.absolute() for path in given.paths), clock=Clock(
             given.time, given.time_unit, given.period))
     if given.windows is not None:
-        dataset = replace(dataset, windows=_windows(given.windows))
+        dataset = replace(dataset, windows=Windows.of(given.windows))
     if given.wire is None:
         return dataset
     if any(map(is_bag, dataset.recordings)):
@@ -95,17 +95,6 @@ def _dataset(given: argparse.Namespace) -> Dataset:
     if not all(map(is_bag, dataset.recordings)):
         dataset = replace(dataset, columns=read_mapping(given.wire))
     return dataset
-
-
-def _windows(text: str) -> Windows:
-    try:
-        every, length = map(float, text.split(','))
-    except ValueError:
-        every = length = 0.0
-    if not (0.0 < every < math.inf and 0.0 < length < math.inf):
-        raise BadInput('--windows', '', f'{text!r} are no two numbers of seconds',
-                       'write --windows 60,10')
-    return Windows(every, length)
 
 
 if __name__ == '__main__':

@@ -7,9 +7,12 @@ from vsensor_ros.recordings.dataset import (
     Windows,
     write_dataset,
 )
+from vsensor_ros.recordings.judgement import judge_trials, Judgement
 from vsensor_ros.recordings.recording import Recording, Track
 from vsensor_ros.recordings.through_engine import Loss, replay, Said, settings
+from vsensor_ros.recordings.trials import Case, run_trials, Trials
 from vsensor_ros.recordings.verdict import Verdict, verdict
 
-__all__ = ['Dataset', 'Loss', 'Recording', 'Said', 'Track', 'Verdict', 'Windows', 'load_dataset',
-           'read_dataset', 'replay', 'settings', 'verdict', 'write_dataset']
+__all__ = ['Case', 'Dataset', 'Judgement', 'Loss', 'Recording', 'Said', 'Track', 'Trials',
+           'Verdict', 'Windows', 'judge_trials', 'load_dataset', 'read_dataset', 'replay',
+           'run_trials', 'settings', 'verdict', 'write_dataset']

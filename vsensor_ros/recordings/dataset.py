@@ -43,6 +43,18 @@ class Windows:
     start: float = 0.0
     end: float = math.inf
 
+    @classmethod
+    def of(cls, text: str) -> Windows:
+        """Return those of a command line, ``60,10``; raises BadInput."""
+        try:
+            every, length = map(float, text.split(','))
+        except ValueError:
+            every = length = 0.0
+        if not (0.0 < every < math.inf and 0.0 < length < math.inf):
+            raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds',
+                           'write --windows 60,10')
+        return cls(every, length)
+
     def starts(self, seconds: float) -> np.ndarray:
         """Return where windows begin that lie in a recording of so many seconds, (N,)."""
         last = min(self.end, seconds) - self.length

@@ -32,7 +32,7 @@ add_sentences({
     'not numbers': '{count} values are NaN or infinite',
     'stamps back': '{count} stamps are older than the one before',
     'stamps twice': '{count} stamps are those of the one before',
-    'gaps': '{count} gaps, the longest {seconds:.3g} s',
+    'gaps': 'gaps: {count}, the longest {seconds:.3g} s',
     'clocks apart': 'stamps are {seconds:.3g} s behind the clock of the recording',
     'nothing said': 'nothing was heard',
 })

@@ -9,6 +9,7 @@ import math
 from vsensor_ros.recordings.survey import Channel, Survey
 
 TITLES = ('CHANNEL', 'UNIT', 'COUNT', 'RATE', 'GAP', 'JITTER', 'LATE', 'VALUES')
+LISTED = 5  # channels of which the same is said
 EPOCH = 10**17  # ns; a stamp beyond is of today, one before of some clock
 
 
@@ -17,9 +18,18 @@ def survey_text(found: Survey) -> str:
     lines = [f'{found.name}: {found.form}, {len(found.channels)} channels, '
              f'{found.seconds:.6g} s{_begun(found.begin)}']
     lines += _table([TITLES, *(_row(c) for c in found.channels)])
-    lines += [f'  {c.name}: {why}' for c in found.channels for why in c.suspicions]
+    suspicious: dict[str, list[str]] = {}
+    for channel in found.channels:
+        for why in channel.suspicions:
+            suspicious.setdefault(str(why), []).append(channel.name)
+    lines += [f'  {why}: {_listed(names)}' for why, names in suspicious.items()]
     lines += [f'  {note}' for note in found.notes]
     return '\n'.join(''.join(c if c.isprintable() else '?' for c in line) for line in lines)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f' and {len(names) - LISTED} more' if len(names) > LISTED else ''
+    return ', '.join(names[:LISTED]) + more
 
 
 def _begun(stamp: int) -> str:
