@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
 COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
-            'replacer', 'wire')
+            'replacer', 'start', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}
@@ -35,12 +35,13 @@ ARROWS = {  # room: what it may import besides itself
     'node': LEAVES | {'engine', 'bank', 'isolator', 'observers'},
     'recordings': LEAVES | {'plant', 'observers', 'engine'},
     'simulate': LEAVES | {'functions', 'plant'},
+    'first_plant': LEAVES | {'functions', 'plant', 'recordings'},
     'report': LEAVES | {'functions', 'plant', 'observers', 'designer', 'control', 'bank',
                         'simulate'},
     'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},
     'commissioning': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab'},
     'command': LEAVES | {'plant', 'observers', 'designer', 'control', 'node', 'simulate',
-                         'report', 'lab', 'commissioning'},
+                         'report', 'lab', 'commissioning', 'first_plant'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',

@@ -153,6 +153,15 @@ class Entries:
                                 'give a standard deviation, or leave it out')
         return found
 
+    def check_fits(self, parameters: Mapping[str, Mapping[str, Any]]) -> None:
+        """Check between what parameters are to be sought: two numbers that rise."""
+        for name, entry in parameters.items():
+            sides, key = entry.get('fit', [0.0, 1.0]), f'parameters.{name}.fit'
+            if not isinstance(sides, list) or len(sides) != 2 or \
+                    not self.number(sides[0], key) < self.number(sides[1], key):
+                raise self.fail(key, f'{shown(sides)} is not two numbers that rise',
+                                'write [low, high] with low < high')
+
     def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
         """Begin to check units; return where it is said what is amiss, or why nothing is."""
         of = {name: entry['unit'] for section in sections for name, entry in section.items()

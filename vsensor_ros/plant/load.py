@@ -2,7 +2,7 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
-(value, unit, spread), tables (points, interpolation), definitions (value, unit, table,
+(value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
 interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
 delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
 tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
@@ -89,7 +89,7 @@ def _plant(file: Entries) -> Plant:
         raise file.fail('description', 'is not a text', 'put it in quotes')
     sample_time = file.sample_time()
     unit = file.time_unit(sample_time)
-    parameters = file.section('parameters', ('value', 'unit', 'spread'), 'value')
+    parameters = file.section('parameters', ('value', 'unit', 'spread', 'fit'), 'value')
     states = file.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
     inputs = file.section('inputs', ('unit', 'operating', 'range', 'delay', 'process_noise'))
     disturbances = file.section('disturbances', ('unit', 'range', 'process_noise'))
@@ -144,6 +144,7 @@ def _plant(file: Entries) -> Plant:
                 raise file.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                 'give one of the two')
     spreads = file.spreads(parameters)
+    file.check_fits(parameters)
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
