@@ -94,7 +94,7 @@ def _entry(plant: Plant, fault_set: tuple[str, ...], channel: str,
 
     def after(one: Filter, P: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         P, X = one.spread_step(*step, P, X)
-        return one.spread_correction(one.gain(P)[0], P, X)
+        return one.spread_correction(one.gain(P), P, X)
     follows, free, said = filter_.of(np.array([0])), filter_.of(np.array([1])), []
     for _ in range(TOLD):
         P, X = after(follows, P, X)
@@ -110,7 +110,7 @@ def _entry(plant: Plant, fault_set: tuple[str, ...], channel: str,
         deviations = np.minimum(deviations, ANYWHERE * np.abs(own).max())
     if not np.isfinite(deviations).all():
         return None
-    left = free.after(free.gain(P)[0])[0]
+    left = free.after(free.gain(P))[0]
     slowest = float(np.abs(np.linalg.eigvals(left @ step[0][0])).max())
     return ExtendedSensor(
         channel, fault_set, tuple(s for s, read in zip(plant.sensors, reads) if read), model,
