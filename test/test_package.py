@@ -45,7 +45,7 @@ ARROWS = {  # room: what it may import besides itself
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',
-        'pint', 'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
+        'pinocchio', 'pint', 'pooch', 'rich', 'sympy', 'threadpoolctl'}  # never on the machine
 
 
 def run(*command, cwd=ROOT, **environment):
@@ -146,12 +146,13 @@ def test_every_import_is_declared():
     setup = ConfigParser()
     setup.read(ROOT / 'setup.cfg')
     declared = {
-        re.split(r'[<>=~]', line)[0].lower().replace('pyyaml', 'yaml')
+        {'pyyaml': 'yaml', 'pin': 'pinocchio'}.get(name, name)
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
                      setup['options.extras_require']['tools'],
-                     setup['options.extras_require']['mujoco'])
-        for line in text.split()
+                     setup['options.extras_require']['mujoco'],
+                     setup['options.extras_require']['urdf'])
+        for line in text.split() for name in [re.split(r'[<>=~]', line)[0].lower()]
     }
     xml = (ROOT / 'package.xml').read_text()
     for path in (ROOT / 'launch').glob('*.py'):

@@ -141,10 +141,10 @@ class Entries:
         if not self.large.isdisjoint(names(node)):
             return True
         try:
-            size, _ = self.extent(node, key)
+            self.extent(node, key)
         except BadInput:
             return True
-        return size + sum(size for size, _ in self.extents.values()) > _MOST_IN_ALL
+        return False
 
     def kept_texts(self, used: Iterable[str], named: Iterable[str]) -> list[tuple[str, str]]:
         """Return the definitions that these names need, as texts with these parameters by name."""
@@ -245,7 +245,8 @@ class Entries:
                     raise self.fail(place, f'{used} is not known yet', 'a definition may use '
                                     'earlier ones only: bring them into order, without a circle')
             self.kept[name] = self.tabled(self.raw(text), entry, place)
-            if self.is_large(text, place, variables):
+            if self.is_large(text, place, variables) or \
+                    sum(size for size, _ in self.extents.values()) > _MOST_IN_ALL:
                 self.large.add(name)
                 continue
             node = self.tabled(self.by_name(text, place, variables), entry, place)

@@ -27,6 +27,7 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
+    MAX_CHARACTERS,
     Name,
     names,
     Node,
@@ -44,7 +45,9 @@ from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
 from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.split import (
+    addends,
     check_split,
+    lifted,
     Split,
     split_equations,
     with_addends,
@@ -112,7 +115,7 @@ def _plant(file: Entries) -> Plant:
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
         'definitions', ('value', 'unit', *TABLE), 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
-    unwritten = _too_large(file, (*states, *inputs, *disturbances))
+    unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances))
     disturbances |= {rate: {'process_noise': 0.0} for rate in unwritten.values()}
     if unwritten:
         said.append(f'the equations of {", ".join(unwritten)} are too large to be written out: '
@@ -267,12 +270,30 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
     return split, None
 
 
-def _too_large(file: Entries, variables: Sequence[str]) -> dict[str, str]:
+def _too_large(file: Entries, states: Sequence[str], inputs: Sequence[str],
+               disturbances: Sequence[str]) -> dict[str, str]:
     """Return by state whose equation is too large to be written out what stands for its rate."""
-    texts = file.content.get('dynamics')
-    return {state: f'{state}_rate' for state, text in texts.items() if text is not None
-            and file.is_large(text, f'dynamics.{state}', variables)} \
-        if isinstance(texts, dict) else {}
+    variables, texts = (*states, *inputs, *disturbances), file.content.get('dynamics')
+
+    def is_too_large(text: Any, key: str) -> bool:
+        if file.is_large(text, key, variables):
+            return True
+        node = file.by_name(text, key, variables)
+        whole = to_text(substitute(node, file.definitions))
+        return len(whole) > MAX_CHARACTERS and not all(
+            _can_be_read(to_text(lifted(core, states, inputs, [], file.definitions)))
+            for _, core in addends(node, file.path, key, file.definitions)[1])
+    return {state: f'{state}_rate' for state, text in texts.items()
+            if state in states and text is not None and is_too_large(
+                text, f'dynamics.{state}')} if isinstance(texts, dict) else {}
+
+
+def _can_be_read(text: str) -> bool:
+    try:
+        parse(text)
+    except BadInput:
+        return False
+    return True
 
 
 def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, float],
@@ -296,12 +317,8 @@ def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, flo
         return node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))
     if not file.large:
         found = [to_text(right_hand_side(state, True)) for state in states]
-        try:
-            for text in found:
-                parse(text)
+        if all(map(_can_be_read, found)):
             return found, []
-        except BadInput:  # too long with its definitions written out
-            pass
     nodes = [right_hand_side(state, False) for state in states]
     return list(map(to_text, nodes)), file.kept_texts(
         {name for node in nodes for name in names(node)}, named)
