@@ -47,7 +47,8 @@ def tried(plant: Plant, entry: ExtendedSensor, truth: Model | None = None,
     before = Filter(entry.model, period, np.tile(tracks, (runs, 1)), each & False)
     after = Filter(entry.model, period, each, each)
     f = Equations([parse(text) for text in m.equations],
-                  (*m.states, *m.inputs, *m.unknown, *m.parameters))
+                  (*m.states, *m.inputs, *m.unknown, *m.parameters),
+                  [(name, parse(text)) for name, text in m.definitions])
     values = m.values[:, None] + m.spreads[:, None] * random.standard_normal(
         (len(m.values), runs))
     x = (m.initial + 3.0**0.5 * m.start * random.uniform(-1.0, 1.0, (runs, len(m.initial)))).T

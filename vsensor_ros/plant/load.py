@@ -2,7 +2,7 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
-(value, unit, spread), tables (points, interpolation), definitions (value, unit, table,
+(value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
 interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
 delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
 tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
@@ -27,6 +27,10 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
+    MAX_CHARACTERS,
+    Name,
+    names,
+    Node,
     Number,
     parse,
     substitute,
@@ -41,7 +45,9 @@ from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
 from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.split import (
+    addends,
     check_split,
+    lifted,
     Split,
     split_equations,
     with_addends,
@@ -89,7 +95,7 @@ def _plant(file: Entries) -> Plant:
         raise file.fail('description', 'is not a text', 'put it in quotes')
     sample_time = file.sample_time()
     unit = file.time_unit(sample_time)
-    parameters = file.section('parameters', ('value', 'unit', 'spread'), 'value')
+    parameters = file.section('parameters', ('value', 'unit', 'spread', 'fit'), 'value')
     states = file.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
     inputs = file.section('inputs', ('unit', 'operating', 'range', 'delay', 'process_noise'))
     disturbances = file.section('disturbances', ('unit', 'range', 'process_noise'))
@@ -109,6 +115,12 @@ def _plant(file: Entries) -> Plant:
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
         'definitions', ('value', 'unit', *TABLE), 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
+    unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances))
+    disturbances |= {rate: {'process_noise': 0.0} for rate in unwritten.values()}
+    if unwritten:
+        said.append(f'the equations of {", ".join(unwritten)} are too large to be written out: '
+                    'what is proved takes them for unknown inputs, '
+                    f'{", ".join(unwritten.values())}; filters on the equations know them')
     initial = np.array([file.number(e.get('initial', 0.0), f'states.{s}.initial')
                         for s, e in states.items()])
     u = np.array([file.number(e.get('operating', 0.0), f'inputs.{i}.operating')
@@ -122,7 +134,7 @@ def _plant(file: Entries) -> Plant:
 
     slow = tuple(s for s, e in states.items() if file.truth(e, 'slow', f'states.{s}'))
     split, measured = _right_hand_side(file, tuple(states), tuple(inputs),
-                                           tuple(disturbances), point, u, slow)
+                                           tuple(disturbances), point, u, slow, unwritten)
     ranges = [file.ranges(key, entries) for key, entries in (
         ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
     groups = tuple(states), tuple(inputs), tuple(disturbances)
@@ -144,6 +156,8 @@ def _plant(file: Entries) -> Plant:
                 raise file.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                 'give one of the two')
     spreads = file.spreads(parameters)
+    equations, definitions = _equations(file, tuple(states), spreads, unit)
+    file.check_fits(parameters)
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
@@ -170,8 +184,8 @@ def _plant(file: Entries) -> Plant:
                      for i, e in inputs.items()],
         disturbance_noise=[file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
                            for r, e in disturbances.items()],
-        spreads=spreads, equations=_equations(file, tuple(states), spreads, unit),
-        remarks=said,
+        spreads=spreads, equations=equations, definitions=definitions,
+        unwritten=tuple(unwritten.values()), remarks=said,
         name=name, where=file.path)
     return plant if sample_time is None else with_registers(
         plant, {s: round(delay / sample_time) for s, delay in late.items() if delay},
@@ -219,7 +233,8 @@ def _units(file: Entries, states: Mapping[str, Mapping[str, Any]],
 
 def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],
                     disturbances: tuple[str, ...], point: np.ndarray, u: np.ndarray,
-                    slow: tuple[str, ...]) -> tuple[Split, np.ndarray | None]:
+                    slow: tuple[str, ...], unwritten: Mapping[str, str],
+                    ) -> tuple[Split, np.ndarray | None]:
     by_equations = 'dynamics' in file.content
     if by_equations == ('matrices' in file.content):
         raise file.fail('dynamics', 'and matrices are both there' if by_equations
@@ -241,7 +256,8 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
             raise file.fail(f'dynamics.{state}', 'is missing',
                             'write one equation a state')
     variables = (*states, *inputs, *disturbances)
-    equations = [file.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
+    equations = [Name(unwritten[s]) if s in unwritten else
+                 file.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
     if file.units_of is not None:
         unit = file.content.get('time_unit', 's') if continuous else None
         check_rates(file.units_of, {s: file.raw(texts[s]) for s in states}, unit,
@@ -254,26 +270,58 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
     return split, None
 
 
+def _too_large(file: Entries, states: Sequence[str], inputs: Sequence[str],
+               disturbances: Sequence[str]) -> dict[str, str]:
+    """Return by state whose equation is too large to be written out what stands for its rate."""
+    variables, texts = (*states, *inputs, *disturbances), file.content.get('dynamics')
+
+    def is_too_large(text: Any, key: str) -> bool:
+        if file.is_large(text, key, variables):
+            return True
+        node = file.by_name(text, key, variables)
+        whole = to_text(substitute(node, file.definitions))
+        return len(whole) > MAX_CHARACTERS and not all(
+            _can_be_read(to_text(lifted(core, states, inputs, [], file.definitions)))
+            for _, core in addends(node, file.path, key, file.definitions)[1])
+    return {state: f'{state}_rate' for state, text in texts.items()
+            if state in states and text is not None and is_too_large(
+                text, f'dynamics.{state}')} if isinstance(texts, dict) else {}
+
+
+def _can_be_read(text: str) -> bool:
+    try:
+        parse(text)
+    except BadInput:
+        return False
+    return True
+
+
 def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, float],
-               unit: float) -> list[str]:
-    """Return the right-hand sides per second with parameters by name; [] if not by equations."""
+               unit: float) -> tuple[list[str], list[tuple[str, str]]]:
+    """
+    Return the right-hand sides per second with parameters by name; [] if not by equations.
+
+    And the definitions that they use, where they are too long with these written out.
+    """
     if 'dynamics' not in file.content:
         if spreads:
             raise file.fail('parameters', f'{next(iter(spreads))} has a spread, which only '
                             'equations can use', 'give one equation a state under dynamics')
-        return []
+        return [], []
     texts = {**{s: '0' if file.content['time'] == 'continuous' else s for s in states},
              **file.content['dynamics']}
     named = [name for name in file.parameters if '[' not in name]
-    found = []
-    for state in states:
-        node = file.with_names(texts[state], f'dynamics.{state}', named)
-        found.append(to_text(node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))))
-        try:
-            parse(found[-1])
-        except BadInput:  # too long with its definitions written out
-            return []
-    return found
+
+    def right_hand_side(state: str, written_out: bool) -> Node:
+        node = file.with_names(texts[state], f'dynamics.{state}', named, written_out)
+        return node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))
+    if not file.large:
+        found = [to_text(right_hand_side(state, True)) for state in states]
+        if all(map(_can_be_read, found)):
+            return found, []
+    nodes = [right_hand_side(state, False) for state in states]
+    return list(map(to_text, nodes)), file.kept_texts(
+        {name for node in nodes for name in names(node)}, named)
 
 
 def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],

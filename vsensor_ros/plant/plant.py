@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import hashlib
 import re
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.curve import Curve
+from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import Apply, Node, parse, substitute
 from vsensor_ros.functions.nonlinearity import evaluate, NonlinearTerm
 from vsensor_ros.plant.checked import (
@@ -94,6 +96,11 @@ class Plant:
     remarks: tuple[str, ...]            # what is to be told of how the file was read
     # makes it anew, of parameters that are so many times as large; None: not known how
     remake: Callable[[Mapping[str, float]], Plant] | None = None
+    # names and texts that equations use, of which a later one may use earlier ones; () where
+    # equations are written out
+    definitions: tuple[tuple[str, str], ...] = ()
+    # unknown inputs that stand for rates of states whose equations are too large to be terms
+    unwritten: tuple[str, ...] = ()
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
@@ -114,6 +121,8 @@ class Plant:
                       input_noise: Any = None, disturbance_noise: Any = None,
                       spreads: Mapping[str, float] | None = None,
                       equations: Sequence[str] = (),
+                      definitions: Sequence[tuple[str, str]] = (),
+                      unwritten: Sequence[str] = (),
                       remarks: Sequence[str] = (),
                       remake: Callable[[Mapping[str, float]], Plant] | None = None,
                       name: str = 'plant',
@@ -135,7 +144,8 @@ class Plant:
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
         input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
         of parameters that are not known exactly; equations: the same as the arrays in n texts over
-        states, inputs, disturbances and parameters. remake: makes the plant anew from factors of
+        states, inputs, disturbances, parameters and definitions, which are names and texts in order;
+        unwritten: names of unknown inputs that are what these say. remake: makes the plant anew from factors of
         its parameters, by name. where: what error lines call the source. Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
@@ -212,7 +222,8 @@ class Plant:
                                             'disturbance_noise'),
             spreads=checked_spreads(spreads or {}, parameters, where),
             equations=checked_equations(equations, (*state_names, *input_names, *disturbance_names,
-                                                    *parameters), n, where),
+                                                    *parameters), definitions, n, where),
+            definitions=tuple(definitions), unwritten=tuple(unwritten),
             remarks=tuple(check_text(text, where, 'remarks')
                           for text in as_list(remarks, where, 'remarks')),
             remake=remake)
@@ -226,11 +237,22 @@ class Plant:
         """
         x = np.asarray(x, dtype=float)
         u = _beside(np.zeros(0) if u is None else u, x)
+        if self.unwritten:
+            return self._by_equations(x, u, np.zeros(len(self.disturbances)) if rho is None
+                                      else rho)
         total = self.A @ x + self.B @ u
         for term, g, column in zip(self.terms, self.G, self.P.T):
             psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
             total = total + np.multiply.outer(column, psi)
         return total if rho is None else total + self.D @ _beside(rho, x)
+
+    def _by_equations(self, x: np.ndarray, u: np.ndarray, rho: Any) -> np.ndarray:
+        """Return the right-hand side, of which not all is known as terms."""
+        given = (*self.states, *self.inputs, *self.disturbances, *self.parameters)
+        values = np.concatenate([values.reshape(len(values), -1) + np.zeros(
+            (1, x[0].size)) for values in (x, u, _beside(rho, x), _beside(list(
+                self.parameters.values()), x))])
+        return _equations(self.equations, self.definitions, given).values(values).reshape(x.shape)
 
     def part(self, states: Sequence[int], sensors: Sequence[int], disturbances: Sequence[int],
              terms: Sequence[int]) -> Plant:
@@ -253,7 +275,8 @@ class Plant:
             wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
             curves={name: curve for name, curve in self.curves.items() if name in names},
             sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y],
-            disturbance_noise=self.disturbance_noise[rho], equations=(), remake=None)
+            disturbance_noise=self.disturbance_noise[rho], equations=(), definitions=(),
+            unwritten=(), remake=None)
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -323,11 +346,20 @@ class Plant:
         if self.spreads:
             add('spreads', sorted(self.spreads.items()), self.equations, self.input_noise,
                 self.disturbance_noise)
+        if self.definitions:
+            add('definitions', self.definitions, self.equations)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
             add(self.slow, sorted(self.tolerances.items()))
         return digest.hexdigest()
+
+
+@lru_cache(maxsize=4)
+def _equations(texts: tuple[str, ...], definitions: tuple[tuple[str, str], ...],
+               names: tuple[str, ...]) -> Equations:
+    return Equations([parse(text) for text in texts], names,
+                     [(name, parse(text)) for name, text in definitions])
 
 
 def measures_node(plant: Plant, i: int) -> Node:

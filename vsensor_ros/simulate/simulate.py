@@ -134,6 +134,9 @@ class _Motion:
         n = plant.A.shape[0]
         self.rows = np.array([plant.G[i][0] for i in self.signs]).reshape(-1, n)    # w = rows @ x
         self.push = plant.P[:, self.signs]
+        if plant.unwritten and self.signs:
+            raise ValueError(f'{plant.name}: a sign stands beside equations that are too large '
+                             'to be terms; write friction with tanh')
         for i in self.signs:
             if np.any(plant.terms[i].slope):
                 raise ValueError(f'{plant.terms[i].name}: a sign term has no slope')
@@ -141,6 +144,8 @@ class _Motion:
     def free(self, x: Array, u: Array, rho: Array) -> Array:
         """Return x' without the sign terms."""
         plant = self.plant
+        if plant.unwritten:
+            return plant.rate_of_change(x, u, rho)
         rate = plant.A @ x + plant.B @ u + plant.D @ rho
         for i, value in self.smooth:
             w = plant.G[i] @ x

@@ -145,6 +145,6 @@ def test_what_has_become_old_is_no_reading():
 def test_a_variance_that_rounding_has_taken():
     filter_ = one()
     z = run(filter_, np.zeros((2, 2)))
-    z[0, 2:6] = -filter_.gain(z[:, 2:6].reshape(1, 2, 2))[1][0, 0] * np.eye(2).ravel()
+    z[0, 2:6] = -filter_.variances(z[:, 2:6].reshape(1, 2, 2))[0, 0] * np.eye(2).ravel()
     with np.errstate(all='raise'):
         assert np.isfinite(filter_.step(z, told(1.0, 0.0), np.zeros((3, 1)))).all()
