@@ -15,6 +15,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
+from vsensor_ros.designer.alternatives import beside_filter, beside_scheduled, quietest
 from vsensor_ros.designer.bounded import alternative, least_sensitive
 from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify, on_declared_ranges
@@ -26,7 +27,7 @@ from vsensor_ros.designer.existence import (
     Existence,
     measured_signs,
 )
-from vsensor_ros.designer.extended import extended as filtered, of_angle
+from vsensor_ros.designer.extended import extended as filtered, is_possible, of_angle
 from vsensor_ros.designer.fault_size import sized
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.noise import usual_decay
@@ -66,6 +67,11 @@ class Choices(NamedTuple):
     scheduled: bool
     extended: bool
     spread: float | None
+
+    @property
+    def follows(self) -> bool:
+        """Whether gains that follow the readings may be handed out."""
+        return self.scheduled and self.method is None
 
 
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
@@ -213,20 +219,24 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
         found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
             problem, choices.prefer, choices.decay, choices.bounded, choices.method,
             choices.temporary))
+        entry = found if lost is not None else part.entry_of_whole(found)
+        sought = partial(_scheduled, plant, key, choices, problem)
         if _proved(problem.plant, found):
-            return found if lost is not None else part.entry_of_whole(found)
-        if choices.scheduled and choices.method is None:
-            over = _scheduled(plant, key, choices.decay or SLOWEST * usual_decay(problem))
-            if isinstance(over, ScheduledSensor):
-                return replace(over, why=_why(found))
-            if over is not None and lost is None:  # else that with fewer faults has said it
-                found = _not_scheduled(found, over)
+            assert isinstance(entry, VirtualSensor)
+            return quietest(plant, entry, sought) if choices.follows else entry
+        over = sought() if choices.follows else None
+        if isinstance(over, ScheduledSensor):
+            return replace(over, why=beside_scheduled(found, choices.extended and is_possible(
+                plant, fault_set, channel, choices.spread)))
+        if lost is not None:
+            over = None  # that with fewer faults has said it
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
                 plant, fault_set, channel, choices.spread)
             if instead is not None:
-                return replace(instead, why=_why(found))
-        return found if lost is not None else part.entry_of_whole(found)
+                return replace(instead, why=beside_filter(
+                    found, over, choices.follows and lost is None))
+        return entry if over is None else _not_scheduled(entry, over)
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -316,8 +326,10 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     return list(dict.fromkeys(checked))
 
 
-def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason | None:
+def _scheduled(plant: Plant, key: Key, choices: Choices, problem: Problem,
+               ) -> ScheduledSensor | Reason | None:
     """Return one that follows the readings, or why there is none; None: not for such a plant."""
+    rate = choices.decay or SLOWEST * usual_decay(problem)
     try:
         over = over_the_ranges(plant, *key, rate)
     except ImportError as error:
@@ -337,19 +349,6 @@ def _proved(plant: Plant, entry: VirtualSensor | Refusal) -> bool:
     return isinstance(entry, VirtualSensor) and entry.grade != 'temporary' and (
         not entry.active or (entry.certificate is not None and on_declared_ranges(
             plant, entry, entry.certificate)))
-
-
-def _why(entry: VirtualSensor | Refusal) -> str:
-    """Say why a filter stands in place of an answer, and what that would be."""
-    if isinstance(entry, Refusal):
-        return say(Reason.of('filter, none', reason=entry.reason))
-    if entry.grade == 'temporary':
-        return say(Reason.of('filter, for a time', order=entry.order))
-    c = entry.certificate
-    if c is not None and c.status == 'region':
-        return say(Reason.of('filter, proved in part', order=entry.order, where=c.uncovered))
-    return say(Reason.of('filter, unproved', order=entry.order,
-                         reason='' if c is None else c.reason))
 
 
 def _lost_already(lost: Refusal, fault_set: tuple[str, ...], problem: Problem) -> Refusal:

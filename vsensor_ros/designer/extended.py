@@ -35,11 +35,16 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
     spread: of parameters without one, as a share of what they are; None: these are exact. It needs
     spreads, all noise, equations without jumps, and readings free of unknown inputs.
     """
-    spreads = spreads_of(plant, spread)
-    if not spreads or not _is_told(plant, fault_set, channel) or \
-            not plant.C[plant.sensors.index(channel)].any():
+    if not is_possible(plant, fault_set, channel, spread):
         return None
-    return _entry(plant, fault_set, channel, model_of(plant, spreads))
+    return _entry(plant, fault_set, channel, model_of(plant, spreads_of(plant, spread)))
+
+
+def is_possible(plant: Plant, fault_set: tuple[str, ...], channel: str,
+                spread: float | None = None) -> bool:
+    """Tell whether a plant says all that such a filter asks for."""
+    return bool(spreads_of(plant, spread)) and _is_told(plant, fault_set, channel) and \
+        bool(plant.C[plant.sensors.index(channel)].any())
 
 
 def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,

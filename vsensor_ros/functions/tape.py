@@ -34,7 +34,7 @@ class Step(NamedTuple):
 
 
 # place, function, its first argument, its second, and all of them if they are more
-_Known = tuple[int, Callable[..., Any], int, 'int | None', tuple[int, ...]]
+_Known = tuple[int, Callable[..., Any], int, 'int | None', Sequence[int]]
 
 
 class Tape:
@@ -139,6 +139,11 @@ class Tape:
         return self._places[key]
 
 
+def _known(step: Step, function: Callable[..., Any]) -> _Known:
+    first, *rest = step.arguments
+    return step.place, function, first, rest[0] if rest else None, rest[1:] and step.arguments
+
+
 class Program:
     """The steps of a tape that lead to what is wanted."""
 
@@ -152,10 +157,8 @@ class Program:
         self._wanted = list(wanted)
         self._blank: list[Any] = [tape.numbers.get(place)
                                   for place in range(tape.variables, tape.size)]
-        self._of_arrays, self._of_numbers = (
-            [(step.place, function, step.arguments[0], (*step.arguments, None)[1],
-              step.arguments[2:] and step.arguments)
-             for step in reversed(steps) for function in (step[which],)] for which in (1, 2))
+        self._of_arrays = [_known(step, step.of_arrays) for step in reversed(steps)]
+        self._of_numbers = [_known(step, step.of_numbers) for step in reversed(steps)]
 
     def run(self, points: np.ndarray, others: Sequence[float] = ()) -> np.ndarray:
         """Return what is wanted (N, ..) at N points of the first variables; others: of all."""
@@ -166,8 +169,8 @@ class Program:
             except (ArithmeticError, ValueError):  # numpy knows what is beyond Python's numbers
                 pass
         found = np.empty((len(self._wanted), len(points)))
-        for row, one in zip(found, self._run(self._of_arrays,
-                                             [*points.T, *others, *self._blank])):
+        known = [*np.ascontiguousarray(points.T), *map(np.array, others), *self._blank]
+        for row, one in zip(found, self._run(self._of_arrays, known)):
             row[:] = one
         return found.T
 
