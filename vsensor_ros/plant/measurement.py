@@ -67,7 +67,8 @@ def measurement(node: Node, text: object, groups: Sequence[Sequence[str]], range
         offset = linear.get('', 0.0)
         return Measured(
             np.array([linear.get(name, 0.0) for name in names]),
-            rest=(*(Apply('*', (Number(factor), core)) for factor, core in cores),
+            rest=(*(core if factor == 1.0 else Apply('*', (Number(factor), core))
+                    for factor, core in cores),
                   *[Number(offset)] * bool(offset)), why=f'{error.problem}; {error.mend}')
 
 

@@ -359,14 +359,23 @@ class Plant:
         return digest.hexdigest()
 
 
+def reading_node(plant: Plant, i: int) -> Node:
+    """Return the linear reading of the i-th sensor, or what it shows if it is no curve of one."""
+    names = (*plant.states, *plant.inputs, *plant.disturbances)
+    node = affine_node(np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]]), names)
+    if plant.unknown is None or not plant.Cd[i].any():
+        return node
+    return fold(substitute(node, {name: parse(text) for name, text in zip(
+        plant.disturbances, plant.unknown.texts)}))
+
+
 def measures_node(plant: Plant, i: int) -> Node:
     """Return what the i-th sensor shows, in the plant's names."""
     names = (*plant.states, *plant.inputs, *plant.disturbances)
     row = np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]])
-    if plant.unknown is not None and plant.Cd[i].any():
-        return fold(substitute(affine_node(row, names), {name: parse(text) for name, text in zip(
-            plant.disturbances, plant.unknown.texts)}))
     curve = plant.curves.get(plant.sensors[i], Curve())
+    if plant.unknown is not None and plant.Cd[i].any():
+        return reading_node(plant, i)
     if not curve.text:
         return affine_node(row, names, curve.offset)
     beside = np.array([curve.beside.get(name, 0.0) for name in names])

@@ -65,16 +65,17 @@ class NonlinearBatch(Batch):
         ended, outside = np.zeros_like(z), np.zeros(len(z), dtype=bool)
         first, last, mean = commands
         y0, y1 = before.y + self.Cu @ first, after.y + self.Cu @ last
+        y, u = after.y + self.Cu @ after.held, after.held
         for motion, at, follows in groups:
             begin = np.concatenate([y0, first if motion.continuous else mean])
             own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]))
             for tracked in (False, True):
                 some = follows == tracked
                 if some.any() and motion.fresh(after.ages, tracked):
-                    own[some] = motion.corrected(own[some], y1, last, tracked)
-            own = motion.said(own, y1, last)
+                    own[some] = motion.corrected(own[some], y, u, tracked)
+            own = motion.said(own, y, u)
             ended[at, :motion.width] = own
-            outside[at] = motion.failing(own, y1, last).any(axis=0)
+            outside[at] = motion.failing(own, y, u).any(axis=0)
         return ended, outside
 
     def estimates(self, z: np.ndarray, y: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -86,7 +87,8 @@ class NonlinearBatch(Batch):
         """Return what one says."""
         shape, motion = z.shape[:-1], self.motions[output]
         held = held if held.shape[-1] else np.zeros((*held.shape[:-1], self.Cu.shape[1]))
-        flat = [np.broadcast_to(v, (*shape, v.shape[-1])).reshape(-1, v.shape[-1])
+        N = math.prod(shape)
+        flat = [np.broadcast_to(v, (*shape, v.shape[-1])).reshape(N, v.shape[-1])
                 for v in (z[..., :motion.width], y + held @ self.Cu.T, held)]
         with np.errstate(all='ignore'):
             return motion.says(*flat).reshape(shape)

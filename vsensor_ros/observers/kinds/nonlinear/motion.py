@@ -2,9 +2,9 @@
 The steps of one nonlinear virtual sensor, several runs of it at once.
 
 A state is z, the covariance of its error (k, k), the angle that was said last, and the standard
-deviation of what it says. Continuous ones are stepped by the exponential method of Rosenbrock and
-Euler: exact where F is linear, so that it may be stiff, and of the second order else, in as many
-parts as the slopes ask for.
+deviation of what it says. Continuous ones are stepped by the exponential Rosenbrock method
+exprb32 (Hochbruck, Ostermann): exact where F is linear, so that it may be stiff, and of the third
+order else, in as many parts as the slopes ask for.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from vsensor_ros.observers.kinds.nonlinear.sensor import names_in, NonlinearSens
 
 FINE = 0.1  # of the largest slope times a part of a step
 MOST_PARTS = 8  # of a step
+SMALL, TERMS = 0.2, 10  # slopes whose series of so many terms is exact but for rounding
 STALE = 1.5  # times what is between readings, or steps: then a reading is one no more
 FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
 _BENDING = ('/', 'sqrt', 'log', '**', 'tan', 'asin')  # what may have no finite slope
@@ -82,7 +83,7 @@ class Motion:
 
     def _flown(self, x: np.ndarray, P: np.ndarray, begin: np.ndarray,
                end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        k, rate, parts, at = self.k, (end - begin) / self._h, 0, 0
+        rate, parts, at = (end - begin) / self._h, 0, 0
         while at < max(parts, 1):
             share = at / max(parts, 1)
             f, J, drift, W = self._slopes(x, begin + share * (end - begin), rate)
@@ -90,13 +91,11 @@ class Motion:
                 steepest = np.abs(J[np.isfinite(J).all(axis=(1, 2))]).sum(axis=2).max(initial=0.0)
                 parts = int(min(max(1.0, math.ceil(self._h * steepest / FINE)), MOST_PARTS))
             h = self._h / parts
-            M = np.zeros((len(x), k + 2, k + 2))
-            M[:, :k, :k], M[:, :k, k], M[:, :k, k + 1] = h * J, h * h * drift, h * f
-            M[:, k, k + 1] = 1.0
-            M[~np.isfinite(M).all(axis=(1, 2))] = 0.0
-            moved = expm(M)
-            E = moved[:, :k, :k]
-            x = x + moved[:, :k, k + 1]
+            E, one, two, three = _phi(np.where(np.isfinite(J), J, 0.0) * h)
+            first = x + h * _times(one, f) + h * h * _times(two, drift)
+            ended = self._F.values(self._at(first, begin + (share + 1 / parts) * (end - begin))).T
+            bent = ended - f - _times(J, first - x) - h * drift
+            x = first + 2.0 * h * _times(three, bent)
             P = E @ P @ E.transpose(0, 2, 1) + h * W
             at += 1
         return x, P
@@ -109,6 +108,15 @@ class Motion:
         by = slopes[:, :, self.k:self.k + self._L]
         W = (by * self._push) @ by.transpose(0, 2, 1) + np.diag(self._entry.process_noise**2)
         return f.T, slopes[:, :, :self.k], slopes[:, :, self.k:] @ rate, W
+
+    def linear(self, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return slopes of F by z and what noise drives it by (R, k, k), at z and readings."""
+        _, J, _, W = self._slopes(x, v, np.zeros_like(v))
+        return J, W
+
+    def deviation(self, z: np.ndarray, y: np.ndarray, u: np.ndarray) -> float:
+        """Return the standard deviation of what one state (1, width) says."""
+        return float(self.said(z, y, u)[0, -1])
 
     def _at(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.concatenate([x.T, np.broadcast_to(v[:, None], (len(v), len(x)))])
@@ -171,6 +179,27 @@ class Motion:
         """Return what states (N, ..) say with readings (N, L) and inputs (N, m)."""
         value = self._out.values(np.concatenate([z[:, :self.k].T, y.T, u.T]))[0]
         return self.turned(value, z[:, self.width - 2])
+
+
+def _phi(M: np.ndarray) -> list[np.ndarray]:
+    """Return exp(M) of matrices (R, k, k), and phi_1, phi_2, phi_3: (phi_n - 1/n!) / M is next."""
+    k = M.shape[1]
+    whole = np.zeros((len(M), 4 * k, 4 * k))
+    whole[:, :k, :k] = M
+    for n in range(3):
+        whole[:, n * k:(n + 1) * k, (n + 1) * k:(n + 2) * k] = np.eye(k)
+    if np.abs(M).sum(axis=2).max(initial=0.0) > SMALL:
+        found = expm(whole)
+    else:
+        found = power = np.eye(4 * k)
+        for n in range(1, TERMS):
+            power = power @ whole / n
+            found = found + power
+    return [found[:, :k, n * k:(n + 1) * k] for n in range(4)]
+
+
+def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _bent(node: Node) -> set[str]:
