@@ -18,6 +18,7 @@ from vsensor_ros.functions.expression import Node, Number, substitute, to_text
 
 _PLAIN = 10 ** 4   # largest numerator and denominator that a person would write
 _NEAR = 1e-9
+_LONGEST = 24   # monomials; what rounding alone let pass has nearly all
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,8 @@ def named(model: Model, dictionary: Dictionary, c: np.ndarray) -> Function | Non
         node = combination(dictionary, _upward(model, dictionary, coefficients))
         if free(model, node, more):
             return Function(node, more, cost)
+    if len(support) > _LONGEST:
+        return None
     # the numbers are no simple fractions: the conditions themselves give all digits
     last = max(support, key=lambda k: (dictionary.costs[k], abs(c[k])))
     rest = [k for k in support if k != last]
@@ -85,8 +88,6 @@ def free(model: Model, node: Node, exact: digits.Exact) -> bool:
     at = model.points(20, 23)
     for name in model.unknown:
         if model.discrete:
-            terms = [derivative(substitute(node, {state: f}), name)
-                     for state, f in zip(model.states, model.f)]
             inner = dict(zip(model.states, model.f))
             terms = [times(substitute(derivative(node, state), inner), derivative(f, name))
                      for state, f in inner.items()]

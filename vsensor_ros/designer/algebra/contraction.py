@@ -7,7 +7,7 @@ region. Eigenvalues of frozen Jacobians are no evidence.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -65,9 +65,14 @@ class ErrorSystem:
                 result[name] = (a, b)
         return {**result, **self.model.system.inputs}
 
-    def points(self, count: int, seed: int, spread: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return known quantities (v, N), z off by some of its range, and the states (n, N)."""
-        at = self.model.points(count, seed, declared=True)
+    def points(self, count: int, seed: int, spread: float = 1.0,
+               beyond: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return known quantities (v, N), z off by some of its range, and the states (n, N).
+
+        beyond: how much of their ranges is added to both ends.
+        """
+        at = self.model.points(count, seed, True, beyond)
         n, m = len(self.model.states), len(self.model.inputs)
         with np.errstate(all='ignore'):
             for node, sign in self.signs:
@@ -104,7 +109,7 @@ def stability(error: ErrorSystem) -> Stability:
             if rate > best.rate * (1.05 if best.rate > 0.0 else 1.0):
                 best = Stability('', rate, P)
     neutral = _NEUTRAL * max(1.0 if discrete else 0.0, float(np.abs(A).max(initial=0.0)))
-    if k > 1 and best.rate <= neutral:
+    if k > 1 and best.rate <= neutral and not _hopeless(A, discrete, neutral):
         best = max(best, _by_lmi(error, A, size), key=lambda own: own.rate)
     if best.rate > neutral:
         grade = SAMPLED
@@ -128,6 +133,13 @@ def slowest(A: np.ndarray, P: np.ndarray, discrete: bool) -> float:
         largest = float(np.linalg.norm(own, 2, axis=(1, 2)).max())
         return -math.log(largest) if largest > 0.0 else math.inf
     return -0.5 * float(np.linalg.eigvalsh(own + np.swapaxes(own, 1, 2))[:, -1].max())
+
+
+def _hopeless(A: np.ndarray, discrete: bool, neutral: float) -> bool:
+    """Tell whether dF/dz at one of the points has a mode that does not die out there."""
+    modes = np.linalg.eigvals(A)
+    return bool(((np.abs(modes) >= 1.0 - neutral) if discrete
+                 else (modes.real >= -neutral)).any())
 
 
 def _orders(A: np.ndarray) -> list[list[int]]:

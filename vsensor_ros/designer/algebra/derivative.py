@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from vsensor_ros.functions.expression import Apply, Name, names, Node, Number
+from vsensor_ros.functions.expression import Apply, Name, Node, Number
 
 ZERO = Number(0.0)
 ONE = Number(1.0)
@@ -106,9 +106,9 @@ def derivative(node: Node, name: str) -> Node:
         return ZERO
     if isinstance(node, Name):
         return ONE if node.id == name else ZERO
-    if name not in names(node):
-        return ZERO
     inner = [derivative(a, name) for a in node.arguments]
+    if all(slope == ZERO for slope in inner):
+        return ZERO
     a = node.arguments[0]
     if node.function == '+':
         return add(*inner)
@@ -155,3 +155,18 @@ _SLOPES = {
 def along(node: Node, f: Mapping[str, Node]) -> Node:
     """Return the derivative of an expression along x' = f(x), by state."""
     return total([times(derivative(node, state), rate) for state, rate in f.items()])
+
+
+def rebuilt(node: Node) -> Node:
+    """Return an expression without what is 0 or 1 in it."""
+    if not isinstance(node, Apply):
+        return node
+    arguments = tuple(map(rebuilt, node.arguments))
+    plain = _PLAIN.get(node.function)
+    if node.function == '**' and isinstance(p := arguments[1], Number):
+        return power(arguments[0], p.value)
+    return plain(*arguments) if plain else Apply(node.function, arguments, node.called)
+
+
+_PLAIN: dict[str, Callable[..., Node]] = {'+': add, '-': minus, '*': times, '/': over,
+                                          'neg': negative}

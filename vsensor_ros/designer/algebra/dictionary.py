@@ -69,12 +69,16 @@ class Dictionary:
                 first[:, i], second[:, i] = g[1] / g[0], g[2] / g[0]
         return value, first, second
 
+    @cached_property
+    def _plain(self) -> list[Equations]:
+        return [Equations(factors, [name]) for name, factors in zip(self.variables, self.factors)]
+
     def values(self, at: np.ndarray) -> np.ndarray:
         """Return the monomials (K, N) at points (n, N)."""
         value = np.ones((len(self), at.shape[1]))
         with np.errstate(all='ignore'):
-            for i, (table, factors) in enumerate(zip(self._tables, self.factors)):
-                value *= table.values(at[i:i + 1])[:len(factors)][self.chosen[:, i]]
+            for i, table in enumerate(self._plain):
+                value *= table.values(at[i:i + 1])[self.chosen[:, i]]
         return value
 
     def gradients(self, at: np.ndarray) -> np.ndarray:
@@ -170,7 +174,7 @@ def state_atoms(name: str, positive: bool, plant: Sequence[Node], laurent: bool 
                           and p.value.is_integer()) and curved:
                     others.append(part)
     for inner in dict.fromkeys(waves):
-        atoms += [Atom(call('cos', inner), 0, 1), Atom(call('sin', inner))]
+        atoms += [Atom(call('cos', inner), 0, 1, not angle), Atom(call('sin', inner), 0, 9, not angle)]
     if curved and positive:
         others += [call('log', x), call('sqrt', x)]
     least = -1 if laurent else 0

@@ -11,16 +11,18 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.designer.algebra.derivative import times
 from vsensor_ros.functions.expression import Name, Node, Number
 
 DIGITS = 50
-_WORKING = 70  # digits: what is lost on the way must leave 50
+_WORKING = 90  # digits: what is lost on the way must leave 50
 _SIMPLE = 10 ** 6  # largest denominator of a number that is read as a fraction
 _POINTS = 6
 
 Exact = Mapping[float, Any]  # numbers of which more is known than their 16 digits
 
 
+@lru_cache(maxsize=1)
 def flint() -> Any:
     """Return the library; raises BadInput where it is missing."""
     try:
@@ -70,15 +72,52 @@ def by_float(numbers: Sequence[Any]) -> dict[float, Any]:
         return result
 
 
-def value(node: Node, at: Mapping[str, Any], exact: Exact | None = None) -> Any:
-    """Return the value of an expression at a point of balls."""
-    if isinstance(node, Number):
-        return ball(node.value, exact)
-    if isinstance(node, Name):
-        return at[node.id]
-    if node.function == '**' and isinstance(p := node.arguments[1], Number):
-        return _power(value(node.arguments[0], at, exact), fraction(p.value))
-    return _FUNCTIONS[node.function](*(value(a, at, exact) for a in node.arguments))
+class Program:
+    """Expressions to be evaluated at points of balls; what they have in common, once."""
+
+    def __init__(self, nodes: Sequence[Node], exact: Exact | None = None,
+                 inner: Mapping[str, Node] | None = None) -> None:
+        """Prepare; inner: names that stand for expressions over the other names."""
+        self._exact, self._inner = exact, inner or {}
+        self._places: dict[object, int] = {}
+        self._order: list[Callable[[list[Any], Mapping[str, Any]], Any]] = []
+        self._ends = [self._place(node) for node in nodes]
+
+    def _place(self, node: Node, outside: bool = True) -> int:
+        key: object
+        if isinstance(node, Number):
+            key = ('number', node.value)
+        elif isinstance(node, Name):
+            if outside and node.id in self._inner:
+                return self._place(self._inner[node.id], False)
+            key = ('name', node.id)
+        else:
+            key = (node.function, *(self._place(a, outside) for a in node.arguments))
+            if node.function == '**' and isinstance(p := node.arguments[1], Number):
+                key = ('**', key[1], p)
+        if key not in self._places:
+            self._places[key] = len(self._order)
+            self._order.append(self._step(node, key))
+        return self._places[key]
+
+    def _step(self, node: Node, key: Any) -> Callable[[list[Any], Mapping[str, Any]], Any]:
+        if isinstance(node, Number):
+            constant = ball(node.value, self._exact)
+            return lambda known, at: constant
+        if isinstance(node, Name):
+            return lambda known, at: at[node.id]
+        if node.function == '**' and isinstance(p := node.arguments[1], Number):
+            exponent = fraction(p.value)
+            return lambda known, at: _power(known[key[1]], exponent)
+        function, places = _FUNCTIONS[node.function], key[1:]
+        return lambda known, at: function(*[known[i] for i in places])
+
+    def at(self, point: Mapping[str, Any]) -> list[Any]:
+        """Return the values at a point, by name."""
+        known: list[Any] = []
+        for step in self._order:
+            known.append(step(known, point))
+        return [known[end] for end in self._ends]
 
 
 def points(names: Sequence[str], at: np.ndarray) -> list[dict[str, Any]]:
@@ -92,39 +131,24 @@ def same(a: Node, b: Node, names: Sequence[str], at: np.ndarray, exact: Exact | 
     """
     Tell whether two expressions agree to 50 digits at points (V, N), enough of them.
 
-    inner: names that stand in `b` for expressions over the others.
+    inner: names that stand for expressions over the others.
     """
-    with precise():
-        tried = 0
-        for point in points(names, at):
-            left = value(a, point, exact)
-            own = point if inner is None else {
-                **point, **{name: value(node, point, exact) for name, node in inner.items()}}
-            right = value(b, own, exact)
-            if not (left.is_finite() and right.is_finite()):
-                continue
-            size = max(abs(float(left)), abs(float(right)), 1e-300)
-            gap = left - right
-            if abs(gap).lower() > 0 or float(gap.rad()) > size * 10.0 ** -DIGITS:
-                if abs(float(gap.mid())) > size * 10.0 ** -DIGITS:
-                    return False
-            tried += 1
-            if tried == _POINTS:
-                return True
-    return False
+    return vanishes([a, times(Number(-1.0), b)], names, at, exact, inner)
 
 
 def vanishes(terms: Sequence[Node], names: Sequence[str], at: np.ndarray,
-             exact: Exact | None = None) -> bool:
+             exact: Exact | None = None, inner: Mapping[str, Node] | None = None) -> bool:
     """Tell whether expressions sum to 0 at points (V, N), to 50 digits of the largest."""
     with precise():
+        program = Program(terms, exact, inner)
         tried = 0
         for point in points(names, at):
-            values = [value(term, point, exact) for term in terms]
+            values = program.at(point)
             if not all(v.is_finite() for v in values):
                 continue
             size = max((abs(float(v)) for v in values), default=0.0)
-            if abs(float(sum(values).mid())) > size * 10.0 ** -DIGITS:
+            left = sum(values)
+            if float(abs(left).upper()) > size * 10.0 ** -DIGITS:
                 return False
             tried += 1
             if tried == _POINTS:
@@ -138,15 +162,13 @@ def solved(columns: Sequence[Node], target: Node, names: Sequence[str], at: np.n
     """Return the coefficients, balls or simple fractions, with which columns sum to a target."""
     library = flint()
     with precise():
+        program = Program([*columns, target], exact, inner)
         rows, right = [], []
         for point in points(names, at):
-            own = {**point, **{name: value(node, point, exact)
-                               for name, node in (inner or {}).items()}}
-            row = [value(node, own, exact) for node in columns]
-            goal = value(target, own, exact)
-            if all(entry.is_finite() for entry in (*row, goal)):
-                rows.append(row)
-                right.append([goal])
+            row = program.at(point)
+            if all(entry.is_finite() for entry in row):
+                rows.append(row[:-1])
+                right.append(row[-1:])
             if len(rows) == len(columns):
                 break
         if len(rows) < len(columns):

@@ -21,6 +21,7 @@ from vsensor_ros.designer.algebra.model import Model
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import (
     Apply,
+    fold,
     Name,
     names,
     Node,
@@ -165,7 +166,7 @@ def _in(model: Model, dictionary: Dictionary, target: Node, known: Sequence[Know
     if not digits.same(target, node, model.variables, model.points(20, 13), {**exact, **more},
                        inner):
         return None
-    return Fitted(substitute(node, {k.name: k.text for k in known}), more)
+    return Fitted(fold(substitute(node, {k.name: k.text for k in known})), more)
 
 
 def independent(columns: np.ndarray) -> list[int]:

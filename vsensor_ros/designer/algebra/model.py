@@ -99,11 +99,16 @@ class Model:
         return [known if name in narrow else _widened(known, name in waves)
                 for name, known in zip(self.variables, self.declared)]
 
-    def points(self, count: int, seed: int, declared: bool = False) -> np.ndarray:
-        """Return points (n + m + s, count), uniform over the wide or the declared ranges."""
+    def points(self, count: int, seed: int, declared: bool = False,
+               beyond: float = 0.0) -> np.ndarray:
+        """
+        Return points (n + m + s, count), uniform over the wide or the declared ranges.
+
+        beyond: how much of a declared range is added to both its ends.
+        """
         low, high = np.array(self.declared if declared else self.wide, dtype=float).T
         draw = np.random.default_rng(seed).random((count, len(low)))
-        return (low + (high - low) * draw).T
+        return (low + (high - low) * ((1.0 + 2.0 * beyond) * draw - beyond)).T
 
 
 def read(system: System) -> Model:

@@ -24,6 +24,7 @@ from vsensor_ros.functions.expression import Node
 _POINTS = 9    # at which ranks are taken
 _COMMANDS = 3  # at each of them, for what depends on commands
 MOST_STATES = 24
+_FAILED = 3    # functions that were not confirmed, and none that was
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ class Inside:
         K, d = kernels(np.concatenate([known, self.gradients(targets)]))
         inner = self.gamma if not d else constant_along(self.dictionary, self.gamma, x, K)
         for among in (inner, self.gamma):
-            for f in self._simplest_first(among):
+            for f in self.simplest_first(among):
                 if apart is not None:
                     if self._differs(f, apart):
                         return f
@@ -88,12 +89,20 @@ class Inside:
                     return f
         return None
 
-    def _simplest_first(self, span: np.ndarray) -> list[Function]:
+    def simplest_first(self, span: np.ndarray) -> list[Function]:
+        """Return a basis of the functions of coefficients (K, q), confirmed."""
         basis = echelon(span / (np.abs(span).max(axis=0, initial=0.0) + 1e-300))
         costs = [(float(self.dictionary.costs[np.flatnonzero(c)].sum()), i)
                  for i, c in enumerate(basis.T)]
-        found = (named(self.model, self.dictionary, basis[:, i]) for _, i in sorted(costs))
-        return [f for f in found if f is not None]
+        result: list[Function] = []
+        failed = 0
+        for _, i in sorted(costs):
+            f = named(self.model, self.dictionary, basis[:, i])
+            if f is not None:
+                result.append(f)
+            elif (failed := failed + 1) == _FAILED and not result:
+                break  # they passed by rounding only
+        return result
 
     def _differs(self, f: Function, apart: Twins) -> bool:
         at = np.stack([apart.one, apart.other], axis=1)

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from vsensor_ros.designer.algebra import digits, sentences
-from vsensor_ros.designer.algebra.answer import Answer, Observer, System, Verdict
+from vsensor_ros.designer.algebra.answer import (
+    Answer,
+    CERTIFIED,
+    Observer,
+    SAMPLED,
+    System,
+    Verdict,
+)
 from vsensor_ros.designer.algebra.coefficients import Function, next_of
 from vsensor_ros.designer.algebra.contraction import ErrorSystem, Stability, stability
-from vsensor_ros.designer.algebra.derivative import call
+from vsensor_ros.designer.algebra.derivative import call, rebuilt
 from vsensor_ros.designer.algebra.dictionary import build, Dictionary, state_atoms
 from vsensor_ros.designer.algebra.fit import Fitted, fitted, Known, plant_atoms
 from vsensor_ros.designer.algebra.invariant import evaluated, largest
+from vsensor_ros.designer.algebra.measured import (
+    gain,
+    measured_functions,
+    MOST_MEASURED,
+    taken_off,
+)
 from vsensor_ros.designer.algebra.model import Model, read
 from vsensor_ros.designer.algebra.null_space import ranks
 from vsensor_ros.designer.algebra.preimage import second_preimage, Twins
@@ -113,6 +127,12 @@ def attempt(inside: Inside) -> Answer | None:
     error = error_system(candidate, signs)
     known = stability(error)
     phi = tuple(f.text for f in candidate.functions)
+    if known.grade not in (CERTIFIED, SAMPLED) and candidate.twins is None:
+        better = with_measured(inside, candidate, error)
+        if better is not None:
+            candidate = better
+            error = error_system(candidate, signs)
+            known = stability(error)
     if not known.grade:
         return Answer(Verdict.YES, Reason.of('functions not stable', phi=', '.join(phi),
                                              growth=-known.rate), None, phi)
@@ -140,15 +160,17 @@ def candidate_in(inside: Inside) -> Candidate | Answer | None:
         chosen = closed(inside, [*chosen, more], list(targets.values()))
     if chosen is None:
         return None
+    return completed(model, chosen, twins)
+
+
+def completed(model: Model, chosen: Sequence[Function],
+              twins: Twins | None) -> Candidate | Answer:
+    """Return a candidate of chosen functions: their right-hand sides and the output map."""
+    targets = targets_of(model)
     phi = ', '.join(f.text for f in chosen)
     own_names = names_of_z(model, len(chosen))
-    exact: dict[float, object] = {}
-    for f in chosen:
-        exact.update(f.exact)
-    known = [Known(name, f.node, Name(name)) for name, f in zip(own_names, chosen)]
-    known += [Known(f's{i}', node, Name(name), angle=isinstance(node, Name)
-                    and node.id in model.system.angles)
-              for i, (name, node) in enumerate(model.sensors.items())]
+    exact = exact_of(chosen)
+    known = known_of(model, own_names, chosen)
     told: dict[str, Told] = {}
     for name, node in targets.items():
         found = output(model, node, known, exact)
@@ -159,6 +181,20 @@ def candidate_in(inside: Inside) -> Candidate | Answer | None:
     if F is None:
         return Answer(Verdict.NOT_DECIDED, Reason.of('functions no right side', phi=phi))
     return Candidate(model, own_names, tuple(chosen), tuple(F), told, twins)
+
+
+def known_of(model: Model, own_names: Sequence[str],
+             chosen: Sequence[Function]) -> list[Known]:
+    """Return z and what the healthy sensors show."""
+    return [*(Known(name, f.node, Name(name)) for name, f in zip(own_names, chosen)),
+            *(Known(f's{i}', node, Name(name), angle=isinstance(node, Name)
+                    and node.id in model.system.angles)
+              for i, (name, node) in enumerate(model.sensors.items()))]
+
+
+def exact_of(chosen: Sequence[Function]) -> dict[float, Any]:
+    """Return all numbers in functions of which more than 16 digits are known."""
+    return {x: ball for f in chosen for x, ball in f.exact.items()}
 
 
 def names_of_z(model: Model, k: int) -> tuple[str, ...]:
@@ -175,14 +211,17 @@ def right_sides(model: Model, chosen: Sequence[Function], known: Sequence[Known]
     """Return the change of each function as an expression of what the run knows."""
     known = [*known, *(Known(f'u{i}', Name(name), Name(name), 0, 2)
                        for i, name in enumerate(model.inputs))]
+    wanted = [*known, *(Known(f'v{i}', node, told[name].fit.node)
+                        for i, (name, node) in enumerate(targets_of(model).items()))]
     more: list[Known] | None = None
     result = []
     for f in chosen:
         target = next_of(model, f.node)
-        found = fitted(model, target, [*known, *plant_atoms(model, known)], exact)
+        found = None
+        for own in (known, wanted):
+            found = found or fitted(model, target, [*own, *plant_atoms(model, own)], exact)
         if found is None:
-            if more is None:
-                more = recovered(model, chosen, known, told, exact)
+            more = more or recovered(model, chosen, wanted, exact)
             found = fitted(model, target, [*more, *plant_atoms(model, more)], exact)
         if found is None:
             found = substituted(model, target, more or [], exact)
@@ -193,12 +232,10 @@ def right_sides(model: Model, chosen: Sequence[Function], known: Sequence[Known]
 
 
 def recovered(model: Model, chosen: Sequence[Function], known: Sequence[Known],
-              told: dict[str, Told], exact: digits.Exact) -> list[Known]:
+              exact: digits.Exact) -> list[Known]:
     """Return what is known, and which states follow from it, as they follow."""
     result = list(known)
-    own = [k for k in known if names(k.text) and k.text.id not in model.inputs]  # type: ignore
-    for i, (name, node) in enumerate(targets_of(model).items()):
-        result.append(Known(f'v{i}', node, told[name].fit.node))
+    own = [k for k in known if not set(names(k.node)) & set(model.inputs)]
     inside = Inside(model, dictionary(model, 1, False, False) or _never(), np.zeros((0, 0)))
     for i, state in enumerate(model.states):
         if any(k.node == Name(state) for k in result) or inside.missing(chosen, [Name(state)]):
@@ -226,7 +263,32 @@ def substituted(model: Model, target: Node, known: Sequence[Known],
     there = substitute(target, inner)
     if not digits.same(target, there, model.variables, model.points(20, 91), exact):
         return None
-    return Fitted(node, {})
+    return Fitted(rebuilt(node), {})
+
+
+def with_measured(inside: Inside, candidate: Candidate, error: ErrorSystem) -> Candidate | None:
+    """Return the candidate with functions of measured quantities taken off, if it converges so."""
+    model = inside.model
+    known = known_of(model, candidate.names, candidate.functions)
+    exact = exact_of(candidate.functions)
+    own = [*known, *(Known(f'u{i}', Name(name), Name(name), 0, 2)
+                     for i, name in enumerate(model.inputs))]
+    measured, sides = [], []
+    for w in measured_functions(inside):
+        side = fitted(model, next_of(model, w.node), [*own, *plant_atoms(model, own)], exact)
+        if side is not None and set(names(side.node)) & set(candidate.names):
+            measured.append(w)
+            sides.append(side.node)
+        if len(measured) == MOST_MEASURED:
+            break
+    if not measured:
+        return None
+    K = gain(error, measured, sides)
+    if K is None:
+        return None
+    functions = [taken_off(f, row, measured) for f, row in zip(candidate.functions, K)]
+    found = completed(model, functions, None)
+    return found if isinstance(found, Candidate) else None
 
 
 def error_system(candidate: Candidate, signs: tuple[tuple[Node, int], ...] = ()) -> ErrorSystem:
@@ -272,5 +334,3 @@ def _many_valued(candidate: Candidate) -> Reason:
     return Reason.of('functions many-valued', wanted=wanted, one=place(candidate.twins.one),
                      other=place(candidate.twins.other))
 
-
-assert replace

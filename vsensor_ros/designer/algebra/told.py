@@ -32,7 +32,7 @@ from vsensor_ros.designer.algebra.fit import (
 from vsensor_ros.designer.algebra.model import Model
 from vsensor_ros.designer.algebra.null_space import null_space
 from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import Node, Number, substitute
+from vsensor_ros.functions.expression import fold, Node, Number, substitute
 
 _SMALL = 1e-7
 
@@ -153,7 +153,7 @@ def _root(model: Model, wanted: Node, known: Sequence[Known], exact: digits.Exac
     else:
         root = call('sqrt', minus(power(b, 2.0), times(times(Number(4.0), a), c)))
         node = over(minus(negative(root) if branch < 0 else root, b), times(Number(2.0), a))
-    return Told(Fitted(node, more), branch)
+    return Told(Fitted(fold(node), more), branch)
 
 
 def _degrees(dictionary: Dictionary, k: int) -> list[float]:

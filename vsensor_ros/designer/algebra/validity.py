@@ -61,7 +61,7 @@ def _positive(error: ErrorSystem, inner: Node, known: np.ndarray,
               found: dict[Node, Condition]) -> None:
     key = power(inner, 0.5)
     values = _values(error, inner, known)
-    if key in found or not (values >= 0.0).all():
+    if key in found or inner in found or not (values >= 0.0).all():
         return  # continued on both sides: it was found with both
     floor = float(f'{_ROOT * values.min():.2g}')
     found[key] = Condition(to_text(minus(inner, Number(floor)) if floor else inner),
