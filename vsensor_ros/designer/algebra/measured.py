@@ -56,7 +56,7 @@ def gain(error: ErrorSystem, measured: Sequence[Function],
                             [:, :len(error.names)], 2, 0) for nodes in (error.F, sides))
         w = Equations(error.phi, error.model.states).values(states)
     typical = _FASTER * _own_rate(error)
-        own = Equations([f.node for f in measured], error.model.states).values(states)
+    own = Equations([f.node for f in measured], error.model.states).values(states)
     size, sizes = np.ptp(w, axis=1), np.ptp(own, axis=1)
     if len(error.names) == 1:
         for i, spread in enumerate(sizes):
