@@ -17,6 +17,7 @@ import numpy as np
 from vsensor_ros.designer.algebra.answer import CERTIFIED, Range, SAMPLED, TEMPORARY
 from vsensor_ros.designer.algebra.derivative import derivative, NotSmooth
 from vsensor_ros.designer.algebra.enclosure import Box, enclosed, upper_bound, used_in
+from vsensor_ros.designer.algebra.invariant import evaluated
 from vsensor_ros.designer.algebra.model import Model
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import Node
@@ -65,6 +66,13 @@ class ErrorSystem:
                 result[name] = (a, b)
         return {**result, **self.model.system.inputs}
 
+    @cached_property
+    def own_rate(self) -> float:
+        """How fast the plant moves by itself: the median of its largest eigenvalue."""
+        at = self.model.points(60, 107, declared=True)
+        slopes = np.moveaxis(evaluated(self.model, at)[1][:, :len(self.model.states)], 2, 0)
+        return float(np.median(np.abs(np.linalg.eigvals(slopes)).max(axis=1)))
+
     def points(self, count: int, seed: int, spread: float = 1.0,
                beyond: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -108,7 +116,8 @@ def stability(error: ErrorSystem) -> Stability:
             rate = slowest(A, P, discrete)
             if rate > best.rate * (1.05 if best.rate > 0.0 else 1.0):
                 best = Stability('', rate, P)
-    neutral = _NEUTRAL * max(1.0 if discrete else 0.0, float(np.abs(A).max(initial=0.0)))
+    neutral = _NEUTRAL * max(1.0 if discrete else error.own_rate,
+                             float(np.abs(A).max(initial=0.0)))
     if k > 1 and best.rate <= neutral and not _hopeless(A, discrete, neutral):
         best = max(best, _by_lmi(error, A, size), key=lambda own: own.rate)
     if best.rate > neutral:

@@ -16,7 +16,7 @@ from vsensor_ros.designer.algebra.coefficients import Function
 from vsensor_ros.designer.algebra.contraction import ErrorSystem
 from vsensor_ros.designer.algebra.derivative import minus, total
 from vsensor_ros.designer.algebra.dictionary import scaled
-from vsensor_ros.designer.algebra.invariant import constant_along, evaluated
+from vsensor_ros.designer.algebra.invariant import constant_along
 from vsensor_ros.designer.algebra.null_space import kernels
 from vsensor_ros.designer.algebra.reduction import Inside
 from vsensor_ros.functions.equations import Equations
@@ -26,6 +26,7 @@ MOST_MEASURED = 4
 _FASTER = 1.2  # than the plant itself moves
 _SAMPLES = 400
 _FEW = 40       # of them, in matrix inequalities
+_WORTH = 0.01   # of how fast the plant moves: slower is not worth it
 _BEYOND = 0.5  # of a range
 _LARGEST = 10.0  # gain: how often the size of z over that of w
 
@@ -55,7 +56,7 @@ def gain(error: ErrorSystem, measured: Sequence[Function],
         A, C = (np.moveaxis(Equations(nodes, error.variables).slopes(known)[1]
                             [:, :len(error.names)], 2, 0) for nodes in (error.F, sides))
         w = Equations(error.phi, error.model.states).values(states)
-    typical = _FASTER * _own_rate(error)
+    typical = _FASTER * error.own_rate
     own = Equations([f.node for f in measured], error.model.states).values(states)
     size, sizes = np.ptp(w, axis=1), np.ptp(own, axis=1)
     if len(error.names) == 1:
@@ -79,13 +80,6 @@ def taken_off(f: Function, K: np.ndarray, measured: Sequence[Function]) -> Funct
     return Function(minus(f.node, off), more, f.cost)
 
 
-def _own_rate(error: ErrorSystem) -> float:
-    """Return how fast the plant moves by itself: the median of its largest eigenvalue."""
-    at = error.model.points(60, 107, declared=True)
-    slopes = np.moveaxis(evaluated(error.model, at)[1][:, :len(error.model.states)], 2, 0)
-    return float(np.median(np.abs(np.linalg.eigvals(slopes)).max(axis=1)))
-
-
 def _smallest(A: np.ndarray, C: np.ndarray, discrete: bool, typical: float,
               largest: float) -> np.ndarray | None:
     """Return the smallest K (w,) with A - C K <= -rate at all points, or of size < 1 a step."""
@@ -97,7 +91,7 @@ def _smallest(A: np.ndarray, C: np.ndarray, discrete: bool, typical: float,
     best = linprog([*np.zeros(2 * w), 1.0], A_ub=np.hstack([rows, -np.ones((len(rows), 1))]),
                    b_ub=-right, bounds=[*[(0.0, largest)] * (2 * w), (None, None)])
     goal = 1.0 if discrete else 0.0
-    if best.status != 0 or best.x[-1] >= goal - 1e-6 * max(1.0, typical):
+    if best.status != 0 or best.x[-1] >= goal - _WORTH * (1.0 if discrete else typical):
         return None
     limit = 0.5 * (1.0 + max(best.x[-1], 0.0)) if discrete else max(-typical, 0.8 * best.x[-1])
     found = linprog(np.ones(2 * w), A_ub=rows, b_ub=limit - right, bounds=[(0.0, largest)] * 2 * w)

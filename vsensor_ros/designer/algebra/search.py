@@ -130,9 +130,10 @@ def attempt(inside: Inside) -> Answer | None:
     if known.grade not in (CERTIFIED, SAMPLED) and candidate.twins is None:
         better = with_measured(inside, candidate, error)
         if better is not None:
-            candidate = better
-            error = error_system(candidate, signs)
-            known = stability(error)
+            own = error_system(better, signs)
+            faster = stability(own)
+            if faster.grade in (CERTIFIED, SAMPLED):
+                candidate, error, known = better, own, faster
     if not known.grade:
         return Answer(Verdict.YES, Reason.of('functions not stable', phi=', '.join(phi),
                                              growth=-known.rate), None, phi)
