@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.designer.algebra.derivative import times
+from vsensor_ros.designer.algebra.derivative import negative
 from vsensor_ros.functions.expression import Name, Node, Number
 
 DIGITS = 50
@@ -75,24 +75,21 @@ def by_float(numbers: Sequence[Any]) -> dict[float, Any]:
 class Program:
     """Expressions to be evaluated at points of balls; what they have in common, once."""
 
-    def __init__(self, nodes: Sequence[Node], exact: Exact | None = None,
-                 inner: Mapping[str, Node] | None = None) -> None:
-        """Prepare; inner: names that stand for expressions over the other names."""
-        self._exact, self._inner = exact, inner or {}
+    def __init__(self, nodes: Sequence[Node], exact: Exact | None = None) -> None:
+        """Prepare; exact: numbers of which more is known."""
+        self._exact = exact
         self._places: dict[object, int] = {}
         self._order: list[Callable[[list[Any], Mapping[str, Any]], Any]] = []
         self._ends = [self._place(node) for node in nodes]
 
-    def _place(self, node: Node, outside: bool = True) -> int:
+    def _place(self, node: Node) -> int:
         key: object
         if isinstance(node, Number):
             key = ('number', node.value)
         elif isinstance(node, Name):
-            if outside and node.id in self._inner:
-                return self._place(self._inner[node.id], False)
             key = ('name', node.id)
         else:
-            key = (node.function, *(self._place(a, outside) for a in node.arguments))
+            key = (node.function, *(self._place(a) for a in node.arguments))
             if node.function == '**' and isinstance(p := node.arguments[1], Number):
                 key = ('**', key[1], p)
         if key not in self._places:
@@ -126,21 +123,17 @@ def points(names: Sequence[str], at: np.ndarray) -> list[dict[str, Any]]:
     return [dict(zip(names, map(arb, map(float, column)))) for column in at.T]
 
 
-def same(a: Node, b: Node, names: Sequence[str], at: np.ndarray, exact: Exact | None = None,
-         inner: Mapping[str, Node] | None = None) -> bool:
-    """
-    Tell whether two expressions agree to 50 digits at points (V, N), enough of them.
-
-    inner: names that stand for expressions over the others.
-    """
-    return vanishes([a, times(Number(-1.0), b)], names, at, exact, inner)
+def same(a: Node, b: Node, names: Sequence[str], at: np.ndarray,
+         exact: Exact | None = None) -> bool:
+    """Tell whether two expressions agree to 50 digits at points (V, N), enough of them."""
+    return vanishes([a, negative(b)], names, at, exact)
 
 
 def vanishes(terms: Sequence[Node], names: Sequence[str], at: np.ndarray,
-             exact: Exact | None = None, inner: Mapping[str, Node] | None = None) -> bool:
+             exact: Exact | None = None) -> bool:
     """Tell whether expressions sum to 0 at points (V, N), to 50 digits of the largest."""
     with precise():
-        program = Program(terms, exact, inner)
+        program = Program(terms, exact)
         tried = 0
         for point in points(names, at):
             values = program.at(point)
@@ -157,12 +150,11 @@ def vanishes(terms: Sequence[Node], names: Sequence[str], at: np.ndarray,
 
 
 def solved(columns: Sequence[Node], target: Node, names: Sequence[str], at: np.ndarray,
-           exact: Exact | None = None,
-           inner: Mapping[str, Node] | None = None) -> list[Any] | None:
+           exact: Exact | None = None) -> list[Any] | None:
     """Return the coefficients, balls or simple fractions, with which columns sum to a target."""
     library = flint()
     with precise():
-        program = Program([*columns, target], exact, inner)
+        program = Program([*columns, target], exact)
         rows, right = [], []
         for point in points(names, at):
             row = program.at(point)

@@ -163,8 +163,8 @@ def _in(model: Model, dictionary: Dictionary, target: Node, known: Sequence[Know
     coefficients[support] = [float(own) for own in sums]
     node = combination(dictionary, coefficients)
     more = digits.by_float(sums)
-    if not digits.same(target, node, model.variables, model.points(20, 13), {**exact, **more},
-                       inner):
+    if not digits.same(target, substitute(node, inner), model.variables, model.points(20, 13),
+                       {**exact, **more}):
         return None
     return Fitted(fold(substitute(node, {k.name: k.text for k in known})), more)
 
