@@ -70,6 +70,15 @@ def named(model: Model, dictionary: Dictionary, c: np.ndarray) -> Function | Non
     return Function(node, more, cost) if free(model, node, more) else None
 
 
+def plain_combination(dictionary: Dictionary, c: np.ndarray) -> Node:
+    """Return the function of coefficients c (K,), with plain numbers where these fit."""
+    support = np.flatnonzero(c)
+    plain = _plain(c[support])
+    coefficients = np.zeros(len(dictionary))
+    coefficients[support] = c[support] if plain is None else [float(own) for own in plain]
+    return combination(dictionary, coefficients)
+
+
 def pushed(model: Model, node: Node) -> Node:
     """Return how unknown inputs, mixed, change an expression's derivative or next value."""
     moved = next_of(model, node)

@@ -48,13 +48,15 @@ class Inside:
                 result.append(equations.slopes(at)[1][:, :n])
         return np.concatenate(result)
 
-    def known(self, chosen: Sequence[Function]) -> np.ndarray:
+    def known(self, chosen: Sequence[Function], sensors: bool = True) -> np.ndarray:
         """Return the gradients of chosen functions and healthy sensors."""
-        return self.gradients([*(f.node for f in chosen), *self.model.sensors.values()], False)
+        return self.gradients([*(f.node for f in chosen),
+                               *(self.model.sensors.values() if sensors else ())], False)
 
-    def missing(self, chosen: Sequence[Function], targets: Sequence[Node]) -> int:
+    def missing(self, chosen: Sequence[Function], targets: Sequence[Node],
+                sensors: bool = True) -> int:
         """Return how many components are missing to tell the targets."""
-        known, more = self.known(chosen), self.gradients(targets)
+        known, more = self.known(chosen, sensors), self.gradients(targets)
         few = np.s_[:, :, :_POINTS]
         return int((ranks(np.concatenate([known, more])[few]) - ranks(known[few])).max())
 

@@ -22,6 +22,7 @@ from vsensor_ros.designer.algebra.contraction import ErrorSystem, Stability, sta
 from vsensor_ros.designer.algebra.derivative import call, rebuilt
 from vsensor_ros.designer.algebra.dictionary import build, Dictionary, state_atoms
 from vsensor_ros.designer.algebra.fit import Fitted, fitted, Known, plant_atoms
+from vsensor_ros.designer.algebra.forced import forced
 from vsensor_ros.designer.algebra.invariant import evaluated, largest
 from vsensor_ros.designer.algebra.measured import (
     gain,
@@ -41,6 +42,7 @@ from vsensor_ros.reason import Reason
 # degree, negative powers, log and sqrt: the cheap ones first
 LEVELS = ((1, False, False), (2, False, False), (2, True, False), (2, True, True),
           (3, False, False), (3, True, False), (3, True, True), (4, False, False))
+_BEFORE_PROOF = 2  # levels, which are cheaper than to prove that there is nothing
 _SEPARATED = 4  # functions added at most so that the output map has one value
 
 
@@ -56,11 +58,12 @@ class Candidate:
     twins: Twins | None
 
 
-def find(system: System) -> Answer:
+def find(system: System, levels: Sequence[tuple[int, bool, bool]] = LEVELS) -> Answer:
     """
     Look for an observer z = phi(x) that no unknown input disturbs, in growing dictionaries.
 
-    Raises BadInput where the system cannot be read.
+    levels: (degree, negative powers, log and sqrt). Raises BadInput where the system cannot be
+    read.
     """
     model = read(system)
     assert sentences
@@ -70,7 +73,13 @@ def find(system: System) -> Answer:
             'functions not submersive', rank=short, states=len(model.states)))
     refused: Answer | None = None
     looked_at = (0, 0)
-    for level in LEVELS:
+    for i, level in enumerate(levels):
+        if i == min(_BEFORE_PROOF, len(levels) - 1):
+            proof = forced(model, list(targets_of(model).values()))
+            if proof is not None and proof.blocks:
+                return Answer(Verdict.NO, Reason.of(
+                    'functions impossible', wanted=wanted, dimension=proof.dimension,
+                    states=len(model.states)))
         own = dictionary(model, *level)
         if own is None:
             continue

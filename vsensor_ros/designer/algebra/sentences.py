@@ -15,8 +15,8 @@ add_sentences({
     '{wanted} beside the healthy sensors: none among {count} products up to degree {degree}; that '
     'there is none is not proved',
     'functions impossible': 'no function of the states whatever tells {wanted}: the unknown '
-    'inputs move it in a direction that the healthy sensors do not feel ({dimension} of {states} '
-    'directions are theirs)',
+    'inputs, and what follows from them, reach {dimension} of {states} directions, and one of these '
+    'moves it and no healthy sensor',
     'functions not submersive': 'the next states do not fill the space of states ({rank} of '
     '{states} directions), so a function may pass every test and say nothing',
     'functions no output map': 'a function is there, but no expression for {wanted} was found',
@@ -29,6 +29,7 @@ add_sentences({
     'functions root': '{part} must stay positive',
     'functions rank close': 'the rank is not clear at the points that were tried',
     'functions beyond dictionary': 'found within a dictionary only: there may be more',
+    'functions independent': 'of rank {rank} at a random point, {more} with the other',
     'functions not smooth': '{function} is not smooth',
     'functions points': 'there is no point at which all is finite',
 })
