@@ -69,10 +69,9 @@ class Observer:
 
     names: tuple[str, ...]             # (k,)
     phi: tuple[str, ...]               # (k,) over the states of the plant
-    F: tuple[str, ...]                 # (k,) derivative of z, or its next value; with injection
+    F: tuple[str, ...]                 # (k,) derivative of z, or its next value
     out: Mapping[str, str]             # by wanted name
     residuals: tuple[str, ...]         # (r,) 0 while z = phi(x)
-    injection: tuple[str, ...]         # (k,) what of F is injected of residuals; '0': nothing
     validity: tuple[Condition, ...]
     ranges: tuple[Range, ...]          # (k,) of z over the ranges of the states
     grade: str                         # CERTIFIED, SAMPLED or TEMPORARY

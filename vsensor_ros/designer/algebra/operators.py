@@ -15,6 +15,7 @@ import numpy as np
 
 from vsensor_ros.designer.algebra.answer import Range, Verdict
 from vsensor_ros.designer.algebra.coefficients import Function, next_of, plain_combination
+from vsensor_ros.designer.algebra.derivative import rebuilt
 from vsensor_ros.designer.algebra.dictionary import Atom, build, Dictionary
 from vsensor_ros.designer.algebra.forced import closure_of_kernels
 from vsensor_ros.designer.algebra.invariant import constant_along, foreseen
@@ -145,7 +146,8 @@ def oplus(space: Space, a: Element, b: Element, degree: int = 2) -> Result:
     basis = null_space(columns, np.abs(columns))
     found: Element = ()
     inner = {f'c{i}': node for i, node in enumerate(a)}
-    order = sorted(range(basis.shape[1]), key=lambda i: int((basis[:, i] != 0.0).sum()))
+    order = sorted(range(basis.shape[1]), key=lambda i: float(over_a.costs[1:][
+        basis[:len(over_a) - 1, i] != 0.0].sum()))
     for i in order:
         c = basis[:, i] / np.abs(basis[:, i]).max()
         coefficients = np.array([0.0, *c[:len(over_a) - 1]])
@@ -199,7 +201,7 @@ def M(model: Model, b: Element) -> Element:
     for command in commands:
         numbers = {name: Number(value) for name, value in command.items()}
         for node in b:
-            found = substitute(next_of(model, node), numbers)
+            found = rebuilt(substitute(next_of(model, node), numbers))
             if _finite(space, found):
                 result = product(space, result, (found,))
         if not inner.missing([Function(node) for node in result],

@@ -15,6 +15,7 @@ from vsensor_ros.designer.algebra.answer import (
     Observer,
     SAMPLED,
     System,
+    TEMPORARY,
     Verdict,
 )
 from vsensor_ros.designer.algebra.coefficients import Function, next_of
@@ -34,6 +35,7 @@ from vsensor_ros.designer.algebra.model import Model, read
 from vsensor_ros.designer.algebra.null_space import ranks
 from vsensor_ros.designer.algebra.preimage import second_preimage, Twins
 from vsensor_ros.designer.algebra.reduction import closed, Inside
+from vsensor_ros.designer.algebra.residuals import relations, tied
 from vsensor_ros.designer.algebra.told import output, Told
 from vsensor_ros.designer.algebra.validity import conditions
 from vsensor_ros.functions.expression import Name, names, Node, Number, substitute, to_text
@@ -148,7 +150,13 @@ def attempt(inside: Inside) -> Answer | None:
                                              growth=-known.rate), None, phi)
     if candidate.twins is not None or signs:
         return Answer(Verdict.NOT_DECIDED, _many_valued(candidate), None, phi)
-    return Answer(Verdict.YES, None, observer(candidate, error, known), phi)
+    phi = tuple(f.text for f in candidate.functions)
+    if known.grade == TEMPORARY:
+        candidate, zeros = with_residuals(inside, candidate)
+        error = error_system(candidate)
+    else:
+        zeros = ()
+    return Answer(Verdict.YES, None, observer(candidate, error, known, zeros), phi)
 
 
 def candidate_in(inside: Inside) -> Candidate | Answer | None:
@@ -301,6 +309,24 @@ def with_measured(inside: Inside, candidate: Candidate, error: ErrorSystem) -> C
     return found if isinstance(found, Candidate) else None
 
 
+def with_residuals(inside: Inside, candidate: Candidate) -> tuple[Candidate, tuple[Node, ...]]:
+    """Return a candidate with functions that are tied to readings, and what is 0 in truth."""
+    model = inside.model
+    exact = exact_of(candidate.functions)
+    known = known_of(model, candidate.names, candidate.functions)
+    own = [*known, *(Known(f'u{i}', Name(name), Name(name), 0, 2)
+                     for i, name in enumerate(model.inputs))]
+    more = tied(inside, candidate.functions, own, exact)
+    if more:
+        functions = (*candidate.functions, *(f for f, _ in more))
+        z = names_of_z(model, len(functions))
+        candidate = Candidate(model, z, functions, (*candidate.F, *(side for _, side in more)),
+                              candidate.told, None)
+        known = known_of(model, z, functions)
+    return candidate, tuple(relations(model, known, candidate.names, exact_of(
+        candidate.functions)))
+
+
 def error_system(candidate: Candidate, signs: tuple[tuple[Node, int], ...] = ()) -> ErrorSystem:
     """Return what the error of a candidate is judged by."""
     return ErrorSystem(candidate.model, candidate.names,
@@ -308,7 +334,8 @@ def error_system(candidate: Candidate, signs: tuple[tuple[Node, int], ...] = ())
                        tuple(F.node for F in candidate.F), signs)
 
 
-def observer(candidate: Candidate, error: ErrorSystem, known: Stability) -> Observer:
+def observer(candidate: Candidate, error: ErrorSystem, known: Stability,
+             zeros: Sequence[Node] = ()) -> Observer:
     """Return the answer's observer."""
     model = candidate.model
     out: dict[str, str] = {}
@@ -321,10 +348,10 @@ def observer(candidate: Candidate, error: ErrorSystem, known: Stability) -> Obse
                         candidate.told[f'cos {name}'].fit.node)
         nodes.append(node)
         out[name] = to_text(node)
-    k = len(candidate.names)
     return Observer(
         candidate.names, tuple(f.text for f in candidate.functions),
-        tuple(F.text for F in candidate.F), out, (), ('0',) * k, conditions(error, nodes),
+        tuple(F.text for F in candidate.F), out, tuple(map(to_text, zeros)),
+        conditions(error, nodes),
         tuple(error.ranges[name] for name in candidate.names), known.grade, known.rate,
         tuple(tuple(map(float, row)) for row in known.metric), False,
         tuple(f.text for f in candidate.functions),
