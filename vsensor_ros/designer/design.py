@@ -16,6 +16,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.bounded import alternative, least_sensitive
+from vsensor_ros.designer.by_functions import by_functions
 from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify, on_declared_ranges
 from vsensor_ros.designer.exact import ExactVerdict, verdict
@@ -44,7 +45,15 @@ from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.designer.unfinished import name_of, Unfinished
 from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Entry, Key, Refusal, ScheduledSensor, VirtualSensor
+from vsensor_ros.observers import (
+    Design,
+    Entry,
+    Key,
+    NonlinearSensor,
+    Refusal,
+    ScheduledSensor,
+    VirtualSensor,
+)
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -52,7 +61,7 @@ PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s
 LARGEST = 1e100
 SLOWEST = 0.1  # times the usual decay: errors of scheduled ones die out no slower
-METHODS = ('jordan', 'identification', 'svd')
+METHODS = ('jordan', 'identification', 'svd', 'functions')
 
 
 class Choices(NamedTuple):
@@ -86,7 +95,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     die out, by default as fast as noise allows. ``bounded``: where none can be decoupled from all
     unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
-    latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
+    latter and, if bounded, to the papers' method of singular values; 'functions' asks only for
+    nonlinear functions of the states. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``scheduled``: where nothing is proved where it works, hand out one
     whose injection follows the readings, if that is proved over the declared ranges.
@@ -208,6 +218,9 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
     fault_set, channel = key
     with calmly():
         part = subsystem(plant, fault_set, channel, rows)
+        if choices.method == 'functions':
+            asked = by_functions(plant, fault_set, channel)
+            return Refusal(channel, fault_set, say(asked)) if isinstance(asked, Reason) else asked
         problem = pose(part.plant, part.lost, channel,
                        None if rows is None else rows[:, part.states])
         found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
@@ -221,11 +234,16 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
                 return replace(over, why=_why(found))
             if over is not None and lost is None:  # else that with fewer faults has said it
                 found = _not_scheduled(found, over)
+        function = _function(plant, key, found) if choices.method is None and lost is None else None
+        if function is not None and function.grade != 'temporary':
+            return replace(function, why=_why(found))
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
                 plant, fault_set, channel, choices.spread)
             if instead is not None:
                 return replace(instead, why=_why(found))
+        if function is not None and choices.temporary and isinstance(found, Refusal):
+            return replace(function, why=_why(found))
         return found if lost is not None else part.entry_of_whole(found)
 
 
@@ -323,6 +341,15 @@ def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason 
     except ImportError as error:
         return Reason.of('scheduled not sought', missing=str(error))
     return Reason.of('not scheduled', why=say(over)) if isinstance(over, Reason) else over
+
+
+def _function(plant: Plant, key: Key,
+              found: VirtualSensor | Refusal) -> NonlinearSensor | None:
+    """Return a nonlinear function where no linear one is known to converge; None: there is none."""
+    if not plant.terms and plant.unknown is None:
+        return None  # of a linear plant linear ones are all there are
+    function = by_functions(plant, *key)
+    return function if isinstance(function, NonlinearSensor) else None
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:

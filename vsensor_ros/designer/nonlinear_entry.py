@@ -35,6 +35,7 @@ from vsensor_ros.observers import Condition, NonlinearSensor
 from vsensor_ros.observers.kinds.nonlinear.motion import Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import names_in
 from vsensor_ros.plant import Plant
+from vsensor_ros.plant.plain_name import affine_node
 from vsensor_ros.plant.plant import reading_node
 from vsensor_ros.plant.split import addends
 
@@ -42,6 +43,7 @@ POINTS = 200  # at which slopes are looked at
 LONGEST, TOLD = 3000, 500  # steps: of the drift after the loss, and until all is told
 NEARLY = 1.5  # times the least deviation: then the channels have told enough
 STATE = ':'  # before the name of a state among those of sensors
+LAST, AT_EACH = 1e6, 30  # s of drift that are worked out, and steps of twice the length each
 LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
 
 
@@ -59,9 +61,12 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     """
     Return the entry that runs an observer; None where nothing tells a temporary one its start.
 
-    out: what it says of the channel's linear reading, over z, sensors and inputs; turn: by what
-    that goes round, 0 if it does not.
+    out: what it says of the channel's linear reading, over z, sensors and inputs, where readings
+    are free of what sensors read directly of inputs; turn: by what it goes round, 0 if it does not.
     """
+    own = plant.sensors.index(channel)
+    said = to_text(Apply('+', (parse(out), affine_node(plant.Cu[own], plant.inputs)))) \
+        if plant.Cu[own].any() else out
     texts = (*observer.F, out, *observer.residuals, *(c.positive for c in observer.validity))
     used = names_in(texts)
     reads = tuple(s for s in plant.sensors if s not in fault_set and s in used)
@@ -94,7 +99,7 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     through = np.einsum('zn,zln->ln', by_out[0, :k], by_F[:, k:k + L])
     entry = NonlinearSensor(
         channel, fault_set, reads, plant.inputs, 'temporary' if temporary else 'exact',
-        observer.grade == CERTIFIED, observer.names, observer.phi, observer.F, out,
+        observer.grade == CERTIFIED, observer.names, observer.phi, observer.F, said,
         observer.residuals, tracks,
         tuple(Condition(c.positive, say(c.reason)) for c in observer.validity), turn,
         _region(plant, observer, reads), (low + high) / 2, np.diag((high - low)**2 / 12.0), moved,
@@ -103,8 +108,14 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
         decay=rate, warm_up=0.0, followed=0.0, ages=np.array([0.0, 1.0]), drift=np.zeros(2),
         direct={s: _typical(by_out[0, k + plant.sensors.index(s)]) for s in reads},
         pushes={s: _typical(through[plant.sensors.index(s)]) for s in reads},
-        sample_time=plant.sample_time, words=', '.join(observer.words))
+        sample_time=plant.sample_time, words=_words(observer))
     return _grown(plant, entry, sampled, seen)
+
+
+def _words(observer: Observer) -> str:
+    said = ', '.join(observer.words)
+    return said if not observer.only_coordinates else \
+        f'{said}: a change of coordinates that you could choose as a state'
 
 
 def sample(plant: Plant, seed: int = 0) -> Sampled:
@@ -121,7 +132,7 @@ def sample(plant: Plant, seed: int = 0) -> Sampled:
     with np.errstate(all='ignore'):
         y = Equations([reading_node(plant, i) for i in range(len(plant.sensors))], (
             *plant.states, *plant.inputs, *plant.unknown_inputs)).values(np.concatenate([
-                x, u, np.zeros((len(plant.unknown_inputs), POINTS))]))
+                x, u, np.zeros((len(plant.unknown_inputs), POINTS))])) - plant.Cu @ u
     return Sampled(x, u, y)
 
 
@@ -207,12 +218,12 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
     motion = Motion(entry, plant.sensors, plant.inputs, period)
     x, v = _point(plant, entry, sampled, seen)
     J, W = (found[0] for found in motion.linear(x[None], v))
-    E, h = (J, 1.0) if plant.sample_time is not None else (expm(J * period), period)
+    E, driven = (J, W) if plant.sample_time is not None else (expm(J * period), period * W)
     y, u = np.split(v, [len(plant.sensors)])
     k = entry.order
 
     def after(P: np.ndarray, tracked: bool) -> tuple[np.ndarray, float]:
-        z = np.concatenate([x, (E @ P @ E.T + h * W).ravel(), np.zeros(2)])[None]
+        z = np.concatenate([x, (E @ P @ E.T + driven).ravel(), np.zeros(2)])[None]
         z = motion.corrected(z, y, u, tracked)
         P = z[0, k:k + k * k].reshape(k, k)
         z[0, :k] = x
@@ -233,11 +244,18 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
         ages.append(ages[-1] + step * period)
         drift.append(deviation)
         step = max(1, int(0.1 * ages[-1] / period))
+    while ages[-1] < LAST and np.isfinite(P).all():  # corrections become rarer: no less is known
+        E, driven, period = E @ E, E @ driven @ E.T + driven, 2.0 * period
+        for _ in range(AT_EACH):
+            P, deviation = after(P, False)
+            ages.append(ages[-1] + period)
+            drift.append(deviation)
+    known = np.isfinite(drift)
+    ages, drift = list(np.array(ages)[known]), list(np.array(drift)[known])
     first = motion.deviation(np.concatenate([x, entry.start.ravel(), np.zeros(2)])[None], y, u)
     return replace(
         entry, ages=np.array(ages), drift=np.array(drift),
-        warm_up=0.0 if not entry.decay else
-        math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
+        warm_up=0.0 if not entry.decay else math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
         followed=period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1])))
         if said else 0.0)
 

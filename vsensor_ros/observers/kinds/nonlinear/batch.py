@@ -26,7 +26,7 @@ class NonlinearBatch(Batch):
     which: np.ndarray  # (R,) int: whose run it is
     follows: np.ndarray  # (R,) bool: whether its channels correct it
     alone: np.ndarray  # (R,) bool: whether it starts by itself
-    Cu: np.ndarray  # (L, m) what readings lack of commands
+    Cu: np.ndarray  # (L, m) what is in readings of commands, which expressions do not know
     limits: tuple[np.ndarray, ...]  # V of (k + L + m, 2), where it is proved
     pushes: np.ndarray  # (V, L) 1/s
     direct: np.ndarray  # (V, L)
@@ -34,7 +34,7 @@ class NonlinearBatch(Batch):
     def start(self, told: Told) -> np.ndarray:
         """Start from the middle, or by what the channels say."""
         z = np.full((len(self.which), self.width), np.nan)
-        y = told.y + self.Cu @ told.held if told.held.size else told.y
+        y = told.y - self.Cu @ told.held
         for i, motion in enumerate(self.motions):
             for follows in (False, True):
                 rows = np.flatnonzero((self.which == i) & (self.follows == follows) & self.alone)
@@ -64,8 +64,8 @@ class NonlinearBatch(Batch):
                  commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         ended, outside = np.zeros_like(z), np.zeros(len(z), dtype=bool)
         first, last, mean = commands
-        y0, y1 = before.y + self.Cu @ first, after.y + self.Cu @ last
-        y, u = after.y + self.Cu @ after.held, after.held
+        y0, y1 = before.y - self.Cu @ first, after.y - self.Cu @ last
+        y, u = after.y - self.Cu @ after.held, after.held
         for motion, at, follows in groups:
             begin = np.concatenate([y0, first if motion.continuous else mean])
             own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]))
@@ -89,21 +89,21 @@ class NonlinearBatch(Batch):
         held = held if held.shape[-1] else np.zeros((*held.shape[:-1], self.Cu.shape[1]))
         N = math.prod(shape)
         flat = [np.broadcast_to(v, (*shape, v.shape[-1])).reshape(N, v.shape[-1])
-                for v in (z[..., :motion.width], y + held @ self.Cu.T, held)]
+                for v in (z[..., :motion.width], y - held @ self.Cu.T, held)]
         with np.errstate(all='ignore'):
             return motion.says(*flat).reshape(shape)
 
     def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
         """Return which condition fails."""
         failing = self.motions[output].failing(
-            z[[output]], told.y + self.Cu @ told.held, told.held)[:, 0]
+            z[[output]], told.y - self.Cu @ told.held, told.held)[:, 0]
         return Reason.of('where it says nothing', words=self.entries[output].validity[
             int(np.argmax(failing))].words) if failing.any() else None
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether z, a reading or a command is out of the ranges of the proof."""
         k, limits = self.motions[output].k, self.limits[output]
-        at = np.concatenate([z[output, :k], told.y + self.Cu @ told.held, told.held])
+        at = np.concatenate([z[output, :k], told.y - self.Cu @ told.held, told.held])
         return bool((at < limits[:, 0]).any() or (at > limits[:, 1]).any())
 
     def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
@@ -172,7 +172,9 @@ def make_batch(entries: Sequence[NonlinearSensor], design: Contents, period: flo
         entries=tuple(entries), motions=motions, which=which, follows=follows,
         alone=np.concatenate([alone, np.ones(len(following), dtype=bool),
                               np.zeros(len(going_on), dtype=bool)]),
-        Cu=np.zeros((len(sensors), len(inputs))) if Cu is None else Cu,
+        # the bank takes it out of the readings of continuous plants
+        Cu=np.zeros((len(sensors), len(inputs))) if Cu is not None or design.Cu is None
+        else design.Cu,
         limits=tuple(np.array([e.region.get(name, (-np.inf, np.inf))
                                for name in (*e.z, *sensors, *inputs)]) for e in entries),
         pushes=by_sensor([e.pushes for e in entries]),
