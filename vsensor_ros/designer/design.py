@@ -234,16 +234,16 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
                 return replace(over, why=_why(found))
             if over is not None and lost is None:  # else that with fewer faults has said it
                 found = _not_scheduled(found, over)
-        function = _function(plant, key, found) if choices.method is None and lost is None else None
+        function = None if choices.method or lost is not None else _function(plant, key, found)
         if function is not None and function.grade != 'temporary':
-            return replace(function, why=_why(found))
+            return function
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
                 plant, fault_set, channel, choices.spread)
             if instead is not None:
                 return replace(instead, why=_why(found))
         if function is not None and choices.temporary and isinstance(found, Refusal):
-            return replace(function, why=_why(found))
+            return function
         return found if lost is not None else part.entry_of_whole(found)
 
 
@@ -345,11 +345,17 @@ def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason 
 
 def _function(plant: Plant, key: Key,
               found: VirtualSensor | Refusal) -> NonlinearSensor | None:
-    """Return a nonlinear function where no linear one is known to converge; None: there is none."""
+    """Return a nonlinear function where no linear one is known to converge, if there is one."""
     if not plant.terms and plant.unknown is None:
         return None  # of a linear plant linear ones are all there are
     function = by_functions(plant, *key)
-    return function if isinstance(function, NonlinearSensor) else None
+    if not isinstance(function, NonlinearSensor):
+        return None
+    if isinstance(found, Refusal):
+        return replace(function, why=_why(found))
+    return replace(function, why=say(Reason.of(
+        'linear, for a time' if found.grade == 'temporary' else 'linear, unproved',
+        order=found.order)))
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:

@@ -43,7 +43,7 @@ POINTS = 200  # at which slopes are looked at
 LONGEST, TOLD = 3000, 500  # steps: of the drift after the loss, and until all is told
 NEARLY = 1.5  # times the least deviation: then the channels have told enough
 STATE = ':'  # before the name of a state among those of sensors
-LAST, AT_EACH = 1e6, 30  # s of drift that are worked out, and steps of twice the length each
+LAST, AT_EACH = 1e6, 8  # s of drift that are worked out, and steps of twice the length each
 LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
 
 
@@ -62,7 +62,7 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     Return the entry that runs an observer; None where nothing tells a temporary one its start.
 
     out: what it says of the channel's linear reading, over z, sensors and inputs, where readings
-    are free of what sensors read directly of inputs; turn: by what it goes round, 0 if it does not.
+    are free of what sensors read directly of inputs; turn: by what it goes round, 0: it does not.
     """
     own = plant.sensors.index(channel)
     said = to_text(Apply('+', (parse(out), affine_node(plant.Cu[own], plant.inputs)))) \
@@ -255,7 +255,8 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
     first = motion.deviation(np.concatenate([x, entry.start.ravel(), np.zeros(2)])[None], y, u)
     return replace(
         entry, ages=np.array(ages), drift=np.array(drift),
-        warm_up=0.0 if not entry.decay else math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
+        warm_up=0.0 if not entry.decay else
+        math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
         followed=period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1])))
         if said else 0.0)
 
