@@ -3,4 +3,4 @@
 from vsensor_ros.designer.algebra.answer import Answer, Condition, Observer, System, Verdict
 from vsensor_ros.designer.algebra.search import find
 
-__all__ = ['Answer', 'Condition', 'find', 'Observer', 'System', 'Verdict']
+__all__ = ['Answer', 'Condition', 'Observer', 'System', 'Verdict', 'find']

@@ -21,7 +21,7 @@ from vsensor_ros.designer.algebra.derivative import (
     total,
 )
 from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import Apply, Name, names, Node, Number, to_text, walk
+from vsensor_ros.functions.expression import Apply, Name, names, Node, Number, walk
 
 MOST = 700  # monomials
 
@@ -87,11 +87,11 @@ class Dictionary:
         return first * value[:, None]
 
     def along(self, at: np.ndarray, f: np.ndarray, slopes: np.ndarray,
-              v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+              v: np.ndarray, rough: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the derivative along v of the derivative along f, (K, N), and its size.
 
-        f, v (n, N); slopes (n, n, N): df/dx. The size sums absolute values.
+        f, v (n, N); slopes (n, n, N): df/dx; rough: the size of v. The size sums absolute values.
         """
         value, first, second = self._logarithmic(at)
         turned = np.einsum('ijN,jN->iN', slopes, v)
@@ -102,9 +102,9 @@ class Dictionary:
             by_f, by_v, by_turned = (np.einsum('KiN,iN->KN', first, w) for w in (f, v, turned))
             return by_f * by_v + np.einsum('KiN,iN->KN', bend, f * v) + by_turned
 
-        rough = np.einsum('ijN,jN->iN', np.abs(slopes), np.abs(v))
+        around = np.einsum('ijN,jN->iN', np.abs(slopes), rough)
         return value * summed(f, v, turned, first, bend), np.abs(value) * summed(
-            np.abs(f), np.abs(v), rough, np.abs(first), np.abs(bend))
+            np.abs(f), rough, around, np.abs(first), np.abs(bend))
 
     def powers(self, k: int) -> dict[Node, float]:
         """Return one as powers of its atoms."""
@@ -174,7 +174,8 @@ def state_atoms(name: str, positive: bool, plant: Sequence[Node], laurent: bool 
                           and p.value.is_integer()) and curved:
                     others.append(part)
     for inner in dict.fromkeys(waves):
-        atoms += [Atom(call('cos', inner), 0, 1, not angle), Atom(call('sin', inner), 0, 9, not angle)]
+        atoms += [Atom(call('cos', inner), 0, 1, not angle),
+                  Atom(call('sin', inner), 0, 9, not angle)]
     if curved and positive:
         others += [call('log', x), call('sqrt', x)]
     least = -1 if laurent else 0
@@ -182,7 +183,7 @@ def state_atoms(name: str, positive: bool, plant: Sequence[Node], laurent: bool 
                     for node in dict.fromkeys(others)]
 
 
-def combination(dictionary: Dictionary, coefficients: Sequence[float]) -> Node:
+def combination(dictionary: Dictionary, coefficients: np.ndarray) -> Node:
     """Return a linear combination as an expression; what all have in common is put in front."""
     terms = [(k, float(c)) for k, c in enumerate(coefficients) if c]
     terms.sort(key=lambda term: -dictionary.costs[term[0]])
@@ -204,7 +205,8 @@ def combination(dictionary: Dictionary, coefficients: Sequence[float]) -> Node:
 
 def product(powers: Mapping[Node, float]) -> Node:
     """Return the product of powers as an expression, a quotient where some are negative."""
-    above, below = ONE, ONE
+    above: Node = ONE
+    below: Node = ONE
     for base, p in powers.items():
         if p > 0.0:
             above = times(above, power(base, p))
@@ -230,8 +232,3 @@ def _parts(node: Node) -> list[Node]:
     if isinstance(node, Apply) and node.function == '*':
         return [*_parts(node.arguments[0]), *_parts(node.arguments[1])]
     return [] if node == ONE else [node]
-
-
-def text_of(dictionary: Dictionary, coefficients: Sequence[float]) -> str:
-    """Return a linear combination as text."""
-    return to_text(combination(dictionary, coefficients))

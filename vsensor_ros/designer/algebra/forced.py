@@ -1,9 +1,10 @@
 """
 A proof that nothing exists: the directions that any decoupled function must be blind to.
 
-D_0 is what the unknown inputs push, D_(i+1) the involutive closure of D_i + [f_u, D_i /\\ ker dh].
-A function z = phi(x) with z' = F(z, y, u) is constant along all of D, so where D /\\ ker dh moves
-what is wanted there is none. Needs no dictionary; continuous time and smooth plants only.
+D_0 is what the unknown inputs push, D_(i+1) the involutive closure of D_i + [f_u, K_i], where K_i
+is what of D_i no healthy sensor feels. A function z = phi(x) with z' = F(z, y, u) is constant
+along all of D, so where some of K moves what is wanted there is none. Needs no dictionary; continuous
+time and smooth plants only.
 """
 
 from __future__ import annotations
@@ -80,19 +81,22 @@ def forced(model: Model, targets: Sequence[Node]) -> Forced | None:
     n = len(model.states)
     if model.discrete or not model.unknown or not model.smooth:
         return None
-    try:
-        with precise():
-            return _forced(model, targets, n)
-    except (NotSmooth, Unclear):
-        return None
+    with precise():
+        for order in range(2, n - _pushed(model) + 2):
+            if math.comb(n + order, n) > MOST:
+                return None
+            try:
+                return _forced(model, targets, n, order)
+            except Unclear:
+                continue
+            except NotSmooth:
+                return None
+    return None
 
 
-def _forced(model: Model, targets: Sequence[Node], n: int) -> Forced | None:
+def _forced(model: Model, targets: Sequence[Node], n: int, order: int) -> Forced:
     at = model.points(_COMMANDS + 1, 201)
     pushes = [[derivative(f, name) for f in model.f] for name in model.unknown]
-    order = n - _pushed(model) + 1
-    if math.comb(n + order, n) > MOST:
-        return None
     jets = Jets(n, order)
     x = [jets.variable(i, flint().arb(float(at[i, 0]))) for i in range(n)]
 
@@ -163,7 +167,8 @@ def _kernel(jets: Jets, span: Span, readings: Sequence[Sequence[Jet]]) -> list[F
     """Return fields of the span that no healthy sensor feels."""
     left = list(span.fields)
     for slopes in readings:
-        felt = [sum(jets.times(p, s) for p, s in zip(own.parts, slopes)) for own in left]
+        felt: list[Jet] = [np.sum([jets.times(p, s) for p, s in zip(own.parts, slopes)], axis=0)
+                           for own in left]
         if not left:
             break
         sizes = [max(abs(float(p[0])) for p in own.parts) * max(abs(float(s[0])) for s in slopes)
@@ -172,8 +177,8 @@ def _kernel(jets: Jets, span: Span, readings: Sequence[Sequence[Jet]]) -> list[F
         if not _clear(felt[best][0], sizes[best]):
             for own, w, size in zip(left, felt, sizes):
                 known = [w[k] for k, e in enumerate(jets.exponents) if sum(e) <= own.order]
-                if any(_clear(c, size or 1.0) for c in known):
-                    raise Unclear  # it is felt near the point, and not at it
+                if own.order < 1 or any(_clear(c, size or 1.0) for c in known):
+                    raise Unclear  # it may be felt near the point, and not at it
             continue
         over = jets.inverse(felt[best])
         pivot = left[best]

@@ -18,6 +18,7 @@ from vsensor_ros.designer.algebra.null_space import kernels, null_space
 from vsensor_ros.functions.equations import Equations
 
 SPARE = 12  # points more than are needed
+_FAINT = 1e-4
 COMBINED = 3  # random combinations of an element's functions that stand for it, beyond n
 
 Reads = Equations | None
@@ -46,7 +47,7 @@ def free_of_unknown(model: Model, dictionary: Dictionary) -> np.ndarray:
     gradients = dictionary.gradients(where)  # (K, n, N)
     pushes = slopes[:, -s:]                  # (n, s, N)
     rows = np.einsum('KiN,isN->NsK', gradients, pushes).reshape(-1, K)
-    sizes = np.einsum('KiN,isN->NsK', np.abs(gradients), np.abs(pushes)).reshape(-1, K)
+    sizes = np.einsum('KiN,isN->NsK', np.abs(gradients), rough(pushes, at[:n])).reshape(-1, K)
     return null_space(rows, sizes)
 
 
@@ -72,11 +73,11 @@ def foreseen(model: Model, dictionary: Dictionary, within: np.ndarray,
         v = v.T
         if model.discrete:
             moved = np.einsum('ijN,jN->iN', by_state, v)
-            rough = np.einsum('ijN,jN->iN', np.abs(by_state), np.abs(v))
+            size = np.einsum('ijN,jN->iN', np.abs(by_state), rough(v, at[:n]))
             rows.append(np.einsum('KiN,iN->NK', gradients, moved))
-            sizes.append(np.einsum('KiN,iN->NK', np.abs(gradients), rough))
+            sizes.append(np.einsum('KiN,iN->NK', np.abs(gradients), size))
         else:
-            row, size = dictionary.along(at[:n], values, by_state, v)
+            row, size = dictionary.along(at[:n], values, by_state, v, rough(v, at[:n]))
             rows.append(row.T)
             sizes.append(size.T)
     all_rows, all_sizes = np.concatenate(rows), np.concatenate(sizes)
@@ -85,12 +86,24 @@ def foreseen(model: Model, dictionary: Dictionary, within: np.ndarray,
     return within @ inner
 
 
+def rough(v: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """
+    Return the sizes of directions (n, .., N) at points (n, N), of none less than a share of all.
+
+    A component that is 0 but for rounding must not set the scale of what it meets.
+    """
+    scale = np.abs(at).max(axis=1).reshape(-1, *[1] * (v.ndim - 1))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.maximum(np.abs(v), _FAINT * scale * (np.abs(v) / scale).max(axis=0))
+
+
 def constant_along(dictionary: Dictionary, within: np.ndarray, at: np.ndarray,
                    K: np.ndarray) -> np.ndarray:
-    """Return what of the span `within` (K, q) does not change along kernels (N, n, d) at (n, N)."""
+    """Return what of the span (K, q) does not change along kernels (N, n, d) at points (n, N)."""
     gradients = dictionary.gradients(at)
     rows = np.einsum('KiN,Nid->NdK', gradients, K).reshape(-1, len(dictionary))
-    sizes = np.einsum('KiN,Nid->NdK', np.abs(gradients), np.abs(K)).reshape(-1, len(dictionary))
+    size = np.stack([rough(v.T, at) for v in np.moveaxis(K, 2, 0)], axis=1)
+    sizes = np.einsum('KiN,idN->NdK', np.abs(gradients), size).reshape(-1, len(dictionary))
     return within @ null_space(rows @ within, sizes @ np.abs(within))
 
 

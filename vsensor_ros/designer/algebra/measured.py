@@ -1,8 +1,8 @@
 """
 Functions of what is measured, taken off z so that its error dies out.
 
-With z - K w(y0) for z, the same is known, and dF/dz becomes dF/dz - K dW/dz, where W(z, y, u) is the
-change of w. The method, 3.6, does so with linear w.
+With z - K w(y0) for z, the same is known, and dF/dz becomes dF/dz - K dW/dz, where W(z, y, u) is
+the change of w. The method, 3.6, does so with linear w.
 """
 
 from __future__ import annotations

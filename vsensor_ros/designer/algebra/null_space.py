@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import qr
 
-CLEAR = 1e-10  # of the largest singular value: below it is nothing but rounding
+CLEAR = 1e-10  # of the largest singular value, and of 1: below it is nothing but rounding
 KEPT = 1e-8    # of the largest entry of a basis vector: below it is 0
 
 
@@ -28,7 +28,7 @@ def null_space(conditions: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     if len(scaled) > r:
         scaled = qr(scaled, mode='r')[0][:r]
     _, values, Vt = np.linalg.svd(scaled, full_matrices=True)
-    rank = int((values > CLEAR * max(values[0], 1e-3)).sum())
+    rank = int((values > CLEAR * max(values[0], 1.0)).sum())
     return echelon(Vt[rank:].T) / scale[:, None]
 
 

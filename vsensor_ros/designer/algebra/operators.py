@@ -189,7 +189,7 @@ def delta(model: Model, a: Element, b: Element) -> Decision:
 
 
 def M(model: Model, b: Element) -> Element:
-    """Return M(b), the greatest element that tells what becomes of b: at enough inputs."""
+    """Return the greatest element that tells what becomes of b: its change at enough inputs."""
     space = space_of(model)
     result: Element = () if model.discrete else product(space, b, ())
     random = np.random.default_rng(11)
@@ -212,9 +212,9 @@ def M(model: Model, b: Element) -> Element:
 
 def m(model: Model, a: Element, dictionary: Dictionary) -> Result:
     """
-    Return m(a), the least element whose change a and the inputs tell, within a dictionary.
+    Return the least element whose change a and the inputs tell, within a dictionary.
 
-    Discrete time: f must reach an open set (`search.image_rank`), else what it finds says nothing.
+    Discrete time: f must reach an open set (`search.image_rank`), else what is found says nothing.
     """
     driven = _driven(model)
     names = model.states

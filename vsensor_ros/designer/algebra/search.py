@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +44,7 @@ from vsensor_ros.reason import Reason
 # degree, negative powers, log and sqrt: the cheap ones first
 LEVELS = ((1, False, False), (2, False, False), (2, True, False), (2, True, True),
           (3, False, False), (3, True, False), (3, True, True), (4, False, False))
+_WIDER = (2, False, False)
 _BEFORE_PROOF = 2  # levels, which are cheaper than to prove that there is nothing
 _SEPARATED = 4  # functions added at most so that the output map has one value
 
@@ -89,7 +90,7 @@ def find(system: System, levels: Sequence[tuple[int, bool, bool]] = LEVELS) -> A
         inside = Inside(model, own, largest(model, own))
         if not inside.told():
             continue
-        answer = attempt(inside)
+        answer = attempt(inside, lambda inside=inside: _wider(inside))  # type: ignore[misc]
         if answer is None:
             continue
         if answer.observer is not None:
@@ -117,6 +118,14 @@ def image_rank(model: Model) -> int:
     return int(ranks(slopes).max())
 
 
+def _wider(inside: Inside) -> Inside:
+    """Return gamma* among products of degree 2, unless it is so already."""
+    own = dictionary(inside.model, *_WIDER)
+    if own is None or len(own) <= len(inside.dictionary):
+        return inside
+    return Inside(inside.model, own, largest(inside.model, own))
+
+
 def targets_of(model: Model) -> dict[str, Node]:
     """Return what must be told: of an angle its cosine and its sine."""
     result: dict[str, Node] = {}
@@ -128,8 +137,12 @@ def targets_of(model: Model) -> dict[str, Node]:
     return result
 
 
-def attempt(inside: Inside) -> Answer | None:
-    """Return an answer within gamma*, or None when the numbers did not hold."""
+def attempt(inside: Inside, wider: Callable[[], Inside]) -> Answer | None:
+    """
+    Return an answer within gamma*, or None when the numbers did not hold.
+
+    wider: gives gamma* of a dictionary that is large enough for what helps to converge.
+    """
     candidate = candidate_in(inside)
     if candidate is None or isinstance(candidate, Answer):
         return candidate
@@ -139,7 +152,7 @@ def attempt(inside: Inside) -> Answer | None:
     known = stability(error)
     phi = tuple(f.text for f in candidate.functions)
     if known.grade not in (CERTIFIED, SAMPLED) and candidate.twins is None:
-        better = with_measured(inside, candidate, error)
+        better = with_measured(wider(), candidate, error)
         if better is not None:
             own = error_system(better, signs)
             faster = stability(own)
@@ -152,7 +165,7 @@ def attempt(inside: Inside) -> Answer | None:
         return Answer(Verdict.NOT_DECIDED, _many_valued(candidate), None, phi)
     phi = tuple(f.text for f in candidate.functions)
     if known.grade == TEMPORARY:
-        candidate, zeros = with_residuals(inside, candidate)
+        candidate, zeros = with_residuals(wider(), candidate)
         error = error_system(candidate)
     else:
         zeros = ()
@@ -353,6 +366,7 @@ def observer(candidate: Candidate, error: ErrorSystem, known: Stability,
         tuple(F.text for F in candidate.F), out, tuple(map(to_text, zeros)),
         conditions(error, nodes),
         tuple(error.ranges[name] for name in candidate.names), known.grade, known.rate,
+        () if known.grade == TEMPORARY else
         tuple(tuple(map(float, row)) for row in known.metric), False,
         tuple(f.text for f in candidate.functions),
         all(len(names(f.node)) == 1 for f in candidate.functions), digits.DIGITS,

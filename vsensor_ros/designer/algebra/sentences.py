@@ -15,8 +15,8 @@ add_sentences({
     '{wanted} beside the healthy sensors: none among {count} products up to degree {degree}; that '
     'there is none is not proved',
     'functions impossible': 'no function of the states whatever tells {wanted}: the unknown '
-    'inputs, and what follows from them, reach {dimension} of {states} directions, and one of these '
-    'moves it and no healthy sensor',
+    'inputs, and what follows from them, reach {dimension} of {states} directions, and one of '
+    'these moves it and no healthy sensor',
     'functions not submersive': 'the next states do not fill the space of states ({rank} of '
     '{states} directions), so a function may pass every test and say nothing',
     'functions no output map': 'a function is there, but no expression for {wanted} was found',

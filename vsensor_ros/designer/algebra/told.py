@@ -39,7 +39,7 @@ _SMALL = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """An expression for a wanted quantity; branch: the sign of a root in it, 0 where both occur."""
+    """An expression for what is wanted; branch: the sign of a root in it, 0 where both occur."""
 
     fit: Fitted
     branch: int = 1
