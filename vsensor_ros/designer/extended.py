@@ -66,10 +66,10 @@ def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,
 
 def _is_told(plant: Plant, fault_set: tuple[str, ...], channel: str) -> bool:
     """Tell whether a plant tells all that a filter on its equations needs."""
-    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
+    names = (*plant.states, *plant.inputs, *plant.unknown_inputs, *plant.parameters)
     if channel not in fault_set or not plant.equations or plant.Cd.any() or \
             not all(np.isfinite(noise).all() for noise in (
-                plant.noise, plant.process_noise, plant.disturbance_noise)) or \
+                plant.noise, plant.process_noise, plant.unknown_noise)) or \
             not plant.noise.all():
         return False
     try:
@@ -158,10 +158,10 @@ def model_of(plant: Plant, spreads: Mapping[str, float]) -> Model:
             definitions.append((name, to_text(node)))
     equations = tuple(to_text(fold(substitute(parse(text), told))) for text in plant.equations)
     return Model(
-        plant.states, plant.inputs, equations, plant.disturbances, tuple(spreads),
+        plant.states, plant.inputs, equations, plant.unknown_inputs, tuple(spreads),
         np.array([plant.parameters[name] for name in spreads]),
         np.array(list(spreads.values())), plant.process_noise.copy(),
-        np.nan_to_num(plant.input_noise), plant.disturbance_noise.copy(), plant.C.copy(),
+        np.nan_to_num(plant.input_noise), plant.unknown_noise.copy(), plant.C.copy(),
         plant.Cu.copy(), plant.noise.copy(), np.nan_to_num(1.0 / plant.sensor_rate), initial,
         np.where(known, start, np.where(size > 0.0, size, 1.0)), plant.sample_time,
         definitions=tuple(definitions))

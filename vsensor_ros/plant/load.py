@@ -40,7 +40,7 @@ from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.checked import check_distinct
 from vsensor_ros.plant.dead_time import with_registers
 from vsensor_ros.plant.entries import Entries, TABLE
-from vsensor_ros.plant.measurement import measurement
+from vsensor_ros.plant.measurement import Measured, measurement
 from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
 from vsensor_ros.plant.plant_yaml import read_yaml
@@ -53,6 +53,7 @@ from vsensor_ros.plant.split import (
     with_addends,
 )
 from vsensor_ros.plant.units import check_rates, converted
+from vsensor_ros.plant.unknown_inputs import directions, unknown_inputs
 
 _TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
         'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
@@ -139,17 +140,18 @@ def _plant(file: Entries) -> Plant:
         ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
     groups = tuple(states), tuple(inputs), tuple(disturbances)
     curves: dict[str, Curve] = {}
+    bent: Sequence[Sequence[Node]] = [()] * len(sensors)
     split, noisy = split.slower(unit), math.sqrt(unit)
     if measured is None:
-        rows = []
-        for sensor, entry in sensors.items():
-            row, curve = _measurement(file,
-                sensor, entry, groups, np.vstack(ranges),
-                np.concatenate([point, u, np.zeros(len(disturbances))]))
-            rows.append(row)
-            if curve is not None:
-                curves[sensor] = curve
-        measured = np.array(rows)
+        shown_by = {sensor: _measurement(
+            file, sensor, entry, groups, np.vstack(ranges),
+            np.concatenate([point, u, np.zeros(len(disturbances))]))
+            for sensor, entry in sensors.items()}
+        measured = np.array([found.row for found in shown_by.values()])
+        curves = {sensor: found.curve for sensor, found in shown_by.items() if found.curve}
+        bent = [found.rest for found in shown_by.values()]
+        said = [*said, *(f'{sensor} is nonlinear, and no linear map uses it: {found.why}'
+                         for sensor, found in shown_by.items() if found.rest)]
     else:
         for sensor, entry in sensors.items():
             if 'measures' in entry:
@@ -161,11 +163,28 @@ def _plant(file: Entries) -> Plant:
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
+    D, pushing, unknown = split.D, disturbances, None
+    units = _units(file, states, inputs, disturbances, sensors, measured)
+    disturbance_noise = [file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
+                         for r, e in disturbances.items()]
+    if any((*split.rest, *bent)):
+        found = directions(D, Cd, (*(split.rest or [()] * len(states)), *bent), groups[0],
+                           tuple(sensors), groups[2], dict(zip(
+                               (*states, *inputs, *disturbances), np.vstack(ranges).tolist())))
+        unknown = unknown_inputs(found, groups[2], ranges[2], disturbance_noise, file.path)
+        D, Cd, said = found.D, found.Cd, [*said, *found.said]
+        pushing = {name: disturbances.get(name, {}) for name in found.names}
+        units = {name: unit for name, unit in units.items()
+                 if name not in disturbances or name in pushing}
+        known = [groups[2].index(name) if name in groups[2] else -1 for name in pushing]
+        ranges[2] = np.vstack([ranges[2], [-np.inf, np.inf]])[known]
+        disturbance_noise = [*disturbance_noise, np.nan]
+        disturbance_noise = [disturbance_noise[i] for i in known]
     plant = Plant.from_matrices(
-        split.A, split.B, C, D=split.D, sample_time=sample_time, P=split.P, G=split.G,
+        split.A, split.B, C, D=D, sample_time=sample_time, P=split.P, G=split.G,
         nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
-        sensors=tuple(sensors), disturbances=tuple(disturbances),
-        units=_units(file, states, inputs, disturbances, sensors, measured), initial=initial,
+        sensors=tuple(sensors), disturbances=tuple(pushing), unknown=unknown, units=units,
+        initial=initial,
         noise=[file.deviation(e, 'noise', f'sensors.{s}') for s, e in sensors.items()],
         parameters=file.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
         process_noise=[file.deviation(e, 'process_noise', f'states.{s}') / noisy
@@ -182,8 +201,7 @@ def _plant(file: Entries) -> Plant:
         sensor_rate=[file.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
         input_noise=[file.deviation(e, 'process_noise', f'inputs.{i}') * noisy
                      for i, e in inputs.items()],
-        disturbance_noise=[file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
-                           for r, e in disturbances.items()],
+        disturbance_noise=disturbance_noise,
         spreads=spreads, equations=equations, definitions=definitions,
         unwritten=tuple(unwritten.values()), remarks=said,
         name=name, where=file.path)
@@ -194,7 +212,7 @@ def _plant(file: Entries) -> Plant:
 
 def _measurement(file: Entries, sensor: str, entry: Mapping[str, Any],
                 groups: Sequence[Sequence[str]], ranges: np.ndarray,
-                point: np.ndarray) -> tuple[np.ndarray, Curve | None]:
+                point: np.ndarray) -> Measured:
     """Read what a sensor measures, see `measurement`."""
     place = f'sensors.{sensor}.measures'
     text = file.required(entry, 'measures', f'sensors.{sensor}',
@@ -206,10 +224,10 @@ def _measurement(file: Entries, sensor: str, entry: Mapping[str, Any],
         node = node if factor == 1.0 else Apply('*', (Number(factor), node))
         node = fold(Apply('+', (node, Number(offset)))) if offset else node
     node = file.tabled(node, entry, f'sensors.{sensor}')
-    row, curve = measurement(node, text, groups, ranges, point, file.path, place)
-    if curve is not None and curve.text and 'wrap' in entry:
+    found = measurement(node, text, groups, ranges, point, file.path, place)
+    if 'wrap' in entry and (found.rest or (found.curve is not None and found.curve.text)):
         raise file.fail(place, 'is a curve, and wraps', 'leave out one of them')
-    return row, curve
+    return found
 
 
 def _units(file: Entries, states: Mapping[str, Mapping[str, Any]],
