@@ -55,6 +55,7 @@ class Model:
         self._rubbing = Equations([_inside(node) for node in signs], known)
         self._outputs = Equations(given.measures, known)
         self._quiet = len(quiet)
+        self.linear = not plant.terms and not any(c.text for c in plant.curves.values())
 
     @property
     def size(self) -> int:
