@@ -22,7 +22,6 @@ from vsensor_ros.fitting.windows import Windows
 BURN = 10  # readings at a start that are not judged
 SMALL = 1e-4  # of a logarithm, for slopes
 WIDE = np.log(1e3)  # how far a noise may be from its guess
-MOST_AT_ONCE = 400  # windows that are filtered for one guess
 
 
 @dataclass(frozen=True, eq=False)

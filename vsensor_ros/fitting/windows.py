@@ -19,7 +19,7 @@ from vsensor_ros.recordings import Recording, Track
 from vsensor_ros.recordings.recording import BEGIN
 
 GAP = 5.0  # times the usual time between readings: nothing is told in between
-STEPS = 300  # of the simulation in a window, at most
+STEPS = 200  # of the simulation in a window, at most
 NODES = 100  # times of comparison in a window, at most
 SETTLED = 4000  # points that tell over which time a sensor changes
 
@@ -75,18 +75,19 @@ def check_channels(runs: Sequence[Recording], model: Model, where: object) -> No
 
 def usual_horizon(runs: Sequence[Recording], model: Model) -> float:
     """
-    Return over which time [s] sensors forget what they said, in the median.
+    Return three times that in which sensors forget what they said, in the median [s].
 
-    That is when the mean square of their change reaches their variance; an eighth of the shortest
+    That is when the mean square of their change reaches their variance. An eighth of the shortest
     recording at most.
     """
-    found = []
+    found, longest = [], np.inf
     for run in runs:
         for name in model.sensors:
             if name not in run.tracks:
                 continue
             track = run.tracks[name]
             first, last = _ends(track)
+            longest = min(longest, (last - first) / 8.0)
             grid = np.linspace(first, last, SETTLED)
             values = track.at(grid)
             variance = values.var()
@@ -94,7 +95,7 @@ def usual_horizon(runs: Sequence[Recording], model: Model) -> float:
             changed = [np.mean((values[lag:] - values[:-lag])**2) >= variance for lag in lags]
             lag = lags[int(np.argmax(changed))] if any(changed) else SETTLED // 8
             found.append(lag * (last - first) / SETTLED)
-    return float(np.median(found))
+    return min(3.0 * float(np.median(found)), longest)
 
 
 def cut(runs: Sequence[Recording], model: Model, horizon: float, stride: float | None = None,
