@@ -77,7 +77,7 @@ def replay(setup: Setup, recording: Recording, losses: Iterable[Loss],
     engine.look(int(stamps[0]), 0.0)
     engine.activate()
     for loss in sorted(losses, key=lambda loss: loss.start):
-        start, end = (BEGIN + round(at * 1e9) for at in (loss.start, loss.end))
+        start, end = (recording.origin + round(at * 1e9) for at in (loss.start, loss.end))
         until, last = np.searchsorted(stamps, (start, end)).tolist()
         _play(engine, setup, events[told:until])
         told = until
