@@ -184,14 +184,27 @@ class Entries:
                                 'give a standard deviation, or leave it out')
         return found
 
-    def check_fits(self, parameters: Mapping[str, Mapping[str, Any]]) -> None:
-        """Check between what parameters are to be sought: two numbers that rise."""
+    def fits(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+        """Read between what a parameter is looked for by the command fit: (low, high)."""
+        found = {}
         for name, entry in parameters.items():
-            sides, key = entry.get('fit', [0.0, 1.0]), f'parameters.{name}.fit'
-            if not isinstance(sides, list) or len(sides) != 2 or \
-                    not self.number(sides[0], key) < self.number(sides[1], key):
-                raise self.fail(key, f'{shown(sides)} is not two numbers that rise',
-                                'write [low, high] with low < high')
+            if 'fit' not in entry:
+                continue
+            key, ends = f'parameters.{name}.fit', entry['fit']
+            if name in self.arrays:
+                raise self.fail(key, 'stands beside an array',
+                                'give its numbers names of their own')
+            if not isinstance(ends, list) or len(ends) != 2:
+                raise self.fail(key, f'{shown(ends)} is not two numbers', 'write [low, high]')
+            low, high = (self.number(end, key) for end in ends)
+            value = self.parameters[name]
+            if not low < high:
+                raise self.fail(key, f'{low:g} is not below {high:g}', 'write [low, high]')
+            if not self.factors and not low <= value <= high:
+                raise self.fail(key, f'the value {value:g} is not between {low:g} and {high:g}',
+                                'widen it, or begin with another value')
+            found[name] = low, high
+        return found
 
     def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
         """Begin to check units; return where it is said what is amiss, or why nothing is."""

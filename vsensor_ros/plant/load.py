@@ -55,9 +55,9 @@ from vsensor_ros.plant.split import (
 from vsensor_ros.plant.units import check_rates, converted
 from vsensor_ros.plant.unknown_inputs import directions, unknown_inputs
 
-_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
-        'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
-        'operating_point')
+TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
+       'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
+       'operating_point')
 
 
 def load_plant(path: str | Path) -> Plant:
@@ -73,8 +73,8 @@ def load_plant(path: str | Path) -> Plant:
         raise BadInput(path, 'submodels', 'are for what estimates faults, or by hand',
                        'give dynamics or matrices; or ask with designer --faulty NAMES, or read '
                        'it with load_takagi_sugeno')
-    file = Entries(path, _TOP, content)
-    return replace(_plant(file), remake=_Again(path, file.content))
+    file = Entries(path, TOP, content)
+    return replace(read_plant(file), remake=_Again(path, file.content))
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,11 @@ class _Again:
     content: dict[str, Any]
 
     def __call__(self, factors: Mapping[str, float]) -> Plant:
-        return replace(_plant(Entries(self.path, _TOP, self.content, factors)), remake=self)
+        return replace(read_plant(Entries(self.path, TOP, self.content, factors)), remake=self)
 
 
-def _plant(file: Entries) -> Plant:
+def read_plant(file: Entries) -> Plant:
+    """Return the plant of a file, and leave in `file` what its names stand for."""
     name = file.content.get('name')
     if name is None:
         raise file.fail('name', 'is missing', 'write name: my_plant')
@@ -159,7 +160,7 @@ def _plant(file: Entries) -> Plant:
                                 'give one of the two')
     spreads = file.spreads(parameters)
     equations, definitions = _equations(file, tuple(states), spreads, unit)
-    file.check_fits(parameters)
+    file.fits(parameters)
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
@@ -217,17 +218,22 @@ def _measurement(file: Entries, sensor: str, entry: Mapping[str, Any],
     place = f'sensors.{sensor}.measures'
     text = file.required(entry, 'measures', f'sensors.{sensor}',
                          'say which state it measures')
-    node = file.expression(text, place, [name for names in groups for name in names])
-    if file.units_of is not None and 'table' not in entry:
-        factor, offset = converted(file.units_of, file.raw(text), entry.get('unit', ''),
-                                   sensor)
-        node = node if factor == 1.0 else Apply('*', (Number(factor), node))
-        node = fold(Apply('+', (node, Number(offset)))) if offset else node
-    node = file.tabled(node, entry, f'sensors.{sensor}')
+    node = in_its_unit(file, file.expression(
+        text, place, [name for names in groups for name in names]), sensor, entry)
     found = measurement(node, text, groups, ranges, point, file.path, place)
     if 'wrap' in entry and (found.rest or (found.curve is not None and found.curve.text)):
         raise file.fail(place, 'is a curve, and wraps', 'leave out one of them')
     return found
+
+
+def in_its_unit(file: Entries, node: Node, sensor: str, entry: Mapping[str, Any]) -> Node:
+    """Return what a sensor shows: what it measures in its own unit, by its table."""
+    if file.units_of is not None and 'table' not in entry:
+        factor, offset = converted(file.units_of, file.raw(entry['measures']),
+                                   entry.get('unit', ''), sensor)
+        node = node if factor == 1.0 else Apply('*', (Number(factor), node))
+        node = fold(Apply('+', (node, Number(offset)))) if offset else node
+    return file.tabled(node, entry, f'sensors.{sensor}')
 
 
 def _units(file: Entries, states: Mapping[str, Mapping[str, Any]],
