@@ -143,6 +143,8 @@ class AloneContext(CaseContext):
             self.play(WINDOW / self.tested.parameters.general('rate'))
 
         def near() -> bool:
+            if not self.machine.heard.told:     # nothing new since a case was judged
+                return False
             status = self.machine.heard.told[-1]
             facts = status.facts.get(name, {})
             residual, deviation = _number(facts, 'residual'), _number(facts, 'deviation')
