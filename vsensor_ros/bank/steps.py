@@ -190,7 +190,9 @@ class Steps:
         self._told.distrust(names, now)
         if lost:
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
-            self._measured.forget(gone[:len(self.sensors)], stopped)
+            began = min([self._now or 0, *(onsets[name] for name in lost if name in onsets)])
+            self._measured.forget(gone[:len(self.sensors)], stopped,
+                                  (began - (self._origin or 0)) // self.period)
             stop(self._settled, ~stopped, ~gone)
             if self._past:
                 stop(self._past, stay, ~gone)
