@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from vsensor_ros.designer import design
     from vsensor_ros.observers import Design, Refusal, VirtualSensor
     from vsensor_ros.plant import load_plant, Plant
+    from vsensor_ros.recordings import load_dataset, Recording
 
-__all__ = ['Controller', 'Design', 'Plant', 'Refusal', 'VirtualSensor', 'closed_loop', 'design',
-           'load_controller', 'load_plant']
+__all__ = ['Controller', 'Design', 'Plant', 'Recording', 'Refusal', 'VirtualSensor',
+           'closed_loop', 'design', 'load_controller', 'load_dataset', 'load_plant']
 
 
 def __getattr__(name: str) -> Any:
@@ -28,6 +29,9 @@ def __getattr__(name: str) -> Any:
     if name in ('Plant', 'load_plant'):
         from vsensor_ros import plant
         return getattr(plant, name)
+    if name in ('Recording', 'load_dataset'):
+        from vsensor_ros import recordings
+        return getattr(recordings, name)
     if name in ('Design', 'Refusal', 'VirtualSensor'):
         from vsensor_ros import observers
         return getattr(observers, name)

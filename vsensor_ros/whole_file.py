@@ -1,5 +1,7 @@
-"""Write a text file so that nobody ever reads half of it."""
+"""Write a file so that nobody ever reads half of it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import os
 from pathlib import Path
 import secrets
@@ -13,14 +15,25 @@ def write_whole(path: str | Path, text: str) -> None:
     A link stays a link, the mode is kept, a pipe or a device is written into. Raises OSError, or
     ValueError for what is no path.
     """
+    with written_whole(path) as beside, open(beside, 'w', encoding='utf-8') as file:
+        file.write(text)
+
+
+@contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """
+    Give the path of a new file to write to, which takes the place of `path` when that is done.
+
+    As `write_whole` says. If it is not done, or is ended, all is as it was.
+    """
     if os.path.exists(path) and not os.path.isfile(path):
-        Path(path).write_text(text, encoding='utf-8')
+        yield Path(path)
         return
     target = Path(os.path.realpath(path))
     beside = target.with_name(f'.{target.stem[:40]}.{secrets.token_hex(8)}')
     try:
-        with open(beside, 'x', encoding='utf-8') as file:
-            file.write(text)
+        beside.open('x').close()
+        yield beside
         if target.exists():
             shutil.copymode(target, beside)
         os.replace(beside, target)

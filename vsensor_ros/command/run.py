@@ -21,17 +21,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 INTERRUPTED = 130   # the exit status that says so
 
 
-def run(command: str, act: Callable[[], int], stopped: int = INTERRUPTED) -> int:
+def run(command: str, act: Callable[[], int], stopped: int = INTERRUPTED,
+        ros: bool = True) -> int:
     """
     Run what a command does where there is ROS; return its exit status.
 
-    It is 2 where there is no ROS or the input is bad, `stopped` after Ctrl-C. What needs ROS is
-    to be loaded by `act`, so that Ctrl-C meanwhile ends it as quietly as any other.
+    It is 2 where there is no ROS, if `ros` is needed, or the input is bad, `stopped` after Ctrl-C.
+    What needs ROS is to be loaded by `act`, so that Ctrl-C meanwhile ends it as quietly as any
+    other.
     """
     interrupt_once()
     prepare_environment()
     try:
-        return act() if find_ros(command) else 2
+        return act() if not ros or find_ros(command) else 2
     except ModuleNotFoundError as missing:
         print(f'{command}: {missing.name} is not installed: pip install it, or run in the .venv '
               'that make sets up', file=sys.stderr)

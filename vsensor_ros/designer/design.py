@@ -17,6 +17,7 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.alternatives import beside_filter, beside_scheduled, quietest
 from vsensor_ros.designer.bounded import alternative, least_sensitive
+from vsensor_ros.designer.by_functions import by_functions
 from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify, on_declared_ranges
 from vsensor_ros.designer.exact import ExactVerdict, verdict
@@ -45,7 +46,15 @@ from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.designer.unfinished import name_of, Unfinished
 from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Entry, Key, Refusal, ScheduledSensor, VirtualSensor
+from vsensor_ros.observers import (
+    Design,
+    Entry,
+    Key,
+    NonlinearSensor,
+    Refusal,
+    ScheduledSensor,
+    VirtualSensor,
+)
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -53,7 +62,7 @@ PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s
 LARGEST = 1e100
 SLOWEST = 0.1  # times the usual decay: errors of scheduled ones die out no slower
-METHODS = ('jordan', 'identification', 'svd')
+METHODS = ('jordan', 'identification', 'svd', 'functions')
 
 
 class Choices(NamedTuple):
@@ -92,7 +101,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     die out, by default as fast as noise allows. ``bounded``: where none can be decoupled from all
     unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
-    latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
+    latter and, if bounded, to the papers' method of singular values; 'functions' asks only for
+    nonlinear functions of the states. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``scheduled``: where nothing is proved where it works, hand out one
     whose injection follows the readings, if that is proved over the declared ranges.
@@ -214,6 +224,9 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
     fault_set, channel = key
     with calmly():
         part = subsystem(plant, fault_set, channel, rows)
+        if choices.method == 'functions':
+            asked = by_functions(plant, fault_set, channel)
+            return Refusal(channel, fault_set, say(asked)) if isinstance(asked, Reason) else asked
         problem = pose(part.plant, part.lost, channel,
                        None if rows is None else rows[:, part.states])
         found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
@@ -230,12 +243,17 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
                 plant, fault_set, channel, choices.spread)))
         if lost is not None:
             over = None  # that with fewer faults has said it
+        function = None if choices.method or lost is not None else _function(plant, key, found)
+        if function is not None and function.grade != 'temporary':
+            return function
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
                 plant, fault_set, channel, choices.spread)
             if instead is not None:
                 return replace(instead, why=beside_filter(
                     found, over, choices.follows and lost is None))
+        if function is not None and choices.temporary and isinstance(found, Refusal):
+            return function
         return entry if over is None else _not_scheduled(entry, over)
 
 
@@ -335,6 +353,21 @@ def _scheduled(plant: Plant, key: Key, choices: Choices, problem: Problem,
     except ImportError as error:
         return Reason.of('scheduled not sought', missing=str(error))
     return Reason.of('not scheduled', why=say(over)) if isinstance(over, Reason) else over
+
+
+def _function(plant: Plant, key: Key,
+              found: VirtualSensor | Refusal) -> NonlinearSensor | None:
+    """Return a nonlinear function where no linear one is known to converge, if there is one."""
+    if not plant.terms and plant.unknown is None:
+        return None  # of a linear plant linear ones are all there are
+    function = by_functions(plant, *key)
+    if not isinstance(function, NonlinearSensor):
+        return None
+    if isinstance(found, Refusal):
+        return replace(function, why=say(Reason.of('filter, none', reason=found.reason)))
+    return replace(function, why=say(Reason.of(
+        'linear, for a time' if found.grade == 'temporary' else 'linear, unproved',
+        order=found.order)))
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:

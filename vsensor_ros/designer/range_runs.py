@@ -45,7 +45,8 @@ def range_runs(plant: Plant, m: Model, period: float, runs: int, random: np.rand
     """
     root = 1.0 if m.sample_time else period**0.5  # white noise in continuous time, of one step
     f = Equations([parse(text) for text in m.equations],
-                  (*m.states, *m.inputs, *m.unknown, *m.parameters))
+                  (*m.states, *m.inputs, *m.unknown, *m.parameters),
+                  [(name, parse(text)) for name, text in m.definitions])
     values = m.values[:, None] + m.spreads[:, None] * random.standard_normal(
         (len(m.values), runs))
     x = (m.initial + 3.0**0.5 * m.start * random.uniform(-1.0, 1.0, (runs, len(m.initial)))).T

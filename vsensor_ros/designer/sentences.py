@@ -257,6 +257,15 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'bias taken for': _bias_taken_for,
     'not built': _not_built,
 
+    'functions not asked': lambda why: (
+        f'nonlinear functions of the states were not sought: {why}'),
+    'linear, for a time': lambda order: (
+        f'the linear one, of order {order}, serves for a time only'),
+    'linear, unproved': lambda order: (
+        f'of the linear one, of order {order}, nothing is proved all over the declared ranges'),
+    'no function': lambda why: why,
+    'function not tracked': lambda: 'a nonlinear function of the states would serve for a time, '
+    'but nothing tells where it starts',
     'not scheduled': lambda why: f'gains that follow the readings do no better: {why}',
     'scheduled not sought': lambda missing: (
         f'gains that follow the readings were not sought: {missing}'),

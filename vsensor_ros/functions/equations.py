@@ -17,11 +17,17 @@ from vsensor_ros.functions.tape import Program, Tape
 
 
 class Equations:
-    """E expressions over V names; numbers in them stay what they are."""
+    """
+    E expressions over V names and definitions, of which a later one may use earlier ones.
 
-    def __init__(self, nodes: Sequence[Node], variables: Sequence[str]) -> None:
+    Numbers in them stay what they are.
+    """
+
+    def __init__(self, nodes: Sequence[Node], variables: Sequence[str],
+                 definitions: Sequence[tuple[str, Node]] = ()) -> None:
         """Prepare; a name that is no variable raises KeyError."""
         self._tape, names = Tape(len(variables)), {name: i for i, name in enumerate(variables)}
+        self._tape.define(definitions, names)
         self._ends = [self._tape.place(node, names) for node in nodes]
         self._values = Program(self._tape, self._ends)
 

@@ -61,6 +61,11 @@ class Tape:
             self._made[place] = function, arguments
         return place
 
+    def define(self, definitions: Sequence[tuple[str, Node]], names: dict[str, int]) -> None:
+        """Add to names where definitions stand; a later one may use earlier ones."""
+        for name, node in definitions:
+            names[name] = self.place(node, names)
+
     def derivatives(self, ends: Sequence[int], by: Sequence[int]) -> list[dict[int, int]]:
         """Return for each end where its derivatives stand, by the index of `by`; 0: the others."""
         moved = {place: {i: self.number(1.0)} for i, place in enumerate(by)}

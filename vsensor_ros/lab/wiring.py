@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 import math
 from typing import Any
 
@@ -38,15 +39,7 @@ class Wiring:
 def wiring_of(parameters: Parameters) -> Wiring:
     """Find the topics in a replacer's parameters; raise BadInput."""
     where, given = str(parameters.path), parameters.given
-    namespace, _, node = parameters.node.rpartition('/')
-
-    def resolve(topic: str, key: str) -> str:
-        try:
-            return str(expand_topic_name(topic, node, namespace or '/'))
-        except (ValueError, NameValidationException):
-            raise BadInput(where, key, f'{topic!r:.80} is not a topic name',
-                           'write it like /tank/level2') from None
-
+    resolve = partial(topic_of, parameters)
     try:
         ports = {}
         names = (key.rpartition('.')[0] for key in given
@@ -65,6 +58,16 @@ def wiring_of(parameters: Parameters) -> Wiring:
                        'topic, type and field of each sensor and command') from None
     return Wiring(ports, resolve(parameters.general('isolation.topic'), 'isolation.topic'),
                   message_type(parameters.general('isolation.type'), where, 'isolation.type'))
+
+
+def topic_of(parameters: Parameters, topic: str, key: str) -> str:
+    """Return the full name of a topic that stands below a key; raise BadInput."""
+    namespace, _, node = parameters.node.rpartition('/')
+    try:
+        return str(expand_topic_name(topic, node, namespace or '/'))
+    except (ValueError, NameValidationException):
+        raise BadInput(parameters.path, key, f'{topic!r:.80} is not a topic name',
+                       'write it like /tank/level2') from None
 
 
 def blank(ports: list[Port]) -> Any:

@@ -86,7 +86,7 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
     sensors, commands = [], []
     for name in design.sensors if design else ():
         prefix = f'sensors.{name}'
-        field = _field(values, prefix, where, problems)
+        field = find_field(values, prefix, where, problems)
         publisher = _publisher(values, prefix, node, where, problems)
         topic = values.get(f'{prefix}.topic')
         output = resolve(topic, f'{prefix}.topic')
@@ -99,7 +99,7 @@ def find_endpoints(design: Design | None, values: Mapping[str, Any], node: Node,
             sensors.append(Sensor(name, source, output, *field, publisher))
     for name in design.inputs if design else ():
         prefix = f'commands.{name}'
-        field = _field(values, prefix, where, problems)
+        field = find_field(values, prefix, where, problems)
         publisher = _publisher(values, prefix, node, where, problems)
         topic = resolve(values.get(f'{prefix}.topic'), f'{prefix}.topic')
         if field is not None and topic is not None:
@@ -157,9 +157,10 @@ def _resolve(node: Node, topic: str, where: str, key: str,
         return None
 
 
-def _field(values: Mapping[str, Any], prefix: str, where: str,
-           problems: list[BadInput],
-           ) -> tuple[str, Any, Accessor, tuple[Stamp, ...]] | None:
+def find_field(values: Mapping[str, Any], prefix: str, where: str,
+               problems: list[BadInput],
+               ) -> tuple[str, Any, Accessor, tuple[Stamp, ...]] | None:
+    """Return type, class, field and stamps of a sensor or command; append what is wrong."""
     kind_name, path = values.get(f'{prefix}.type'), values.get(f'{prefix}.field')
     if kind_name is None:
         return None

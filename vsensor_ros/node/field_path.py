@@ -9,6 +9,8 @@ none. Where both could be meant, quotes make a name of it (``position["1"]``), a
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 import difflib
 from functools import cache
@@ -35,6 +37,9 @@ _ANGLE = re.compile(rf'({"|".join(ANGLES)})\((.*)\)')  # yaw(pose.orientation)
 _PATH = re.compile(rf'(?:{_STEP.pattern})(?:\.(?:{_STEP.pattern}))*')
 _SEQUENCE = re.compile(r'sequence<(.+?)(?:, (\d+))?>')
 _ARRAY = re.compile(r'(.+)\[(\d+)\]')
+
+
+_standing_in: dict[str, Any] = {}  # see `standing_in`
 
 
 class FieldType(NamedTuple):
@@ -70,6 +75,8 @@ def message_type(name: str, where: str = 'message type', key: str = 'type') -> A
     if match is None:
         raise BadInput(where, key, f'{name!r:.80} is not a message type',
                        "write it like 'sensor_msgs/msg/Range'")
+    if name in _standing_in:
+        return _standing_in[name]
     package, message = match.groups()
     try:
         listing, _ = get_resource(INTERFACES, package)
@@ -91,6 +98,23 @@ def message_type(name: str, where: str = 'message type', key: str = 'type') -> A
     except ImportError as error:
         raise BadInput(where, key, f'{package} is listed but cannot be loaded ({error})',
                        'build it with Python support and source its workspace') from None
+
+
+@contextmanager
+def standing_in(kinds: Mapping[str, Any]) -> Iterator[None]:
+    """
+    Let these classes, by name (package/msg/Name), stand in for those that are installed.
+
+    They are of a recording, which has the types of its day. While it lasts, all in this process
+    are given them, so it is for the desk.
+    """
+    _standing_in.update(kinds)
+    inner_type.cache_clear()
+    try:
+        yield
+    finally:
+        _standing_in.clear()
+        inner_type.cache_clear()
 
 
 def field_type(text: str) -> FieldType:

@@ -8,9 +8,10 @@ here, first. Every problem is found before any is reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import difflib
 from hashlib import sha256
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from rclpy.parameter import Parameter
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import End
-from vsensor_ros.engine import Live, Policy
+from vsensor_ros.engine import Live, Policy, Setup, StreamPlan
 from vsensor_ros.engine.isolation_names import Names, Wrong
 from vsensor_ros.isolator import Settings as IsolatorSettings
 from vsensor_ros.node.endpoints import (
@@ -32,6 +33,7 @@ from vsensor_ros.node.endpoints import (
     with_turns,
 )
 from vsensor_ros.node.known import AUTO, DIAGNOSTICS, GENERAL, Known, named, OVERRIDES, Refused
+from vsensor_ros.node.orientation import TURNING
 from vsensor_ros.node.parameter_file import (
     Block,
     check_addressed,
@@ -131,6 +133,39 @@ def read(node: Node, blocks: Sequence[Block] = (), speaks: bool = True) -> Setti
         endpoints.commands, _live(design, values), _command_ends(design, values),
         {s: values[f'sensors.{s}.guard'] for s in design.sensors}, _isolator(design, values),
         values['isolator.record'], design_hash, tuple(others))
+
+
+def setup_of(design: Design, given: Mapping[str, Any], where: object) -> Setup:
+    """
+    Return what parameters, by dotted name, tell the engine of a design, on a simulated clock.
+
+    That is for who plays recordings, without a graph. Raises BadInput.
+    """
+    problems: list[BadInput] = []
+    values = _check({**GENERAL, **named(design)}, given, str(where), problems)
+    if problems:
+        raise problems[0]
+    sharing: dict[str, list[str]] = {}
+    turning = set()
+    for s in design.sensors:
+        topic = values[f'sensors.{s}.topic']
+        sharing.setdefault(values[f'sensors.{s}.input'] or f'{topic}_raw', []).append(s)
+        if values[f'sensors.{s}.field'].startswith(tuple(f'{angle}(' for angle in TURNING)) \
+                and not any(s in angles for angles in design.wrap):
+            turning.add(s)
+    if turning:
+        design = replace(design, wrap=(*design.wrap, *({s: math.tau} for s in turning)))
+    isolator: IsolatorSettings | None = _isolator(design, values)
+    if values['isolator.mode'] == 'advise' and (
+            design.isolability is None or not design.isolability.residuals):
+        isolator = None
+    return Setup(
+        design, values['rate'], {s: _own(values, s, 'max_age') for s in design.sensors},
+        max(values['max_jump'], JUMP / values['rate']),
+        tuple(StreamPlan(tuple(names), source, values[f'sensors.{names[0]}.topic'], True)
+              for source, names in sharing.items()),
+        True, _live(design, values), _command_ends(design, values),
+        {s: values[f'sensors.{s}.guard'] for s in design.sensors}, isolator)
 
 
 def watch(node: Node, settings: Settings, apply: Callable[[Live], None]) -> Callable[[], None]:

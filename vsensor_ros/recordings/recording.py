@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-BEGIN = 1_000_000_000  # ns, added to all stamps: a clock at 0 has not begun
+BEGIN = 1_000_000_000  # ns, added to times from 0: a clock at 0 has not begun
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +17,7 @@ class Track:
 
     stamps: np.ndarray
     values: np.ndarray
+    origin: int = BEGIN  # ns, the stamp of the time 0
 
     @classmethod
     def of(cls, times: ArrayLike, values: ArrayLike) -> Track:
@@ -28,17 +29,47 @@ class Track:
             raise ValueError('give as many values as times, which increase from 0 on')
         return cls(stamps, found)
 
+    @classmethod
+    def in_order(cls, stamps: np.ndarray, values: np.ndarray, origin: int) -> Track:
+        """Make one of stamps [ns] as they came: in order, of those that are the same the first."""
+        found, first = np.unique(stamps, return_index=True)
+        return cls(found, values[first], origin)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times (T,) [s] from the origin on."""
+        return (self.stamps - self.origin) * 1e-9
+
     def at(self, times: ArrayLike) -> np.ndarray:
-        """Return the values at times [s], on straight lines between the stamps."""
-        there = BEGIN + np.asarray(times, float) * 1e9
-        return np.interp(there, self.stamps, self.values)
+        """Return the values at times [s], on straight lines between the numbers there are."""
+        there = np.isfinite(self.values)
+        return np.interp(np.asarray(times, float) * 1e9, self.stamps[there] - self.origin,
+                         self.values[there])
+
+    def held(self, stamps: np.ndarray) -> np.ndarray:
+        """Return what was said last at stamps [ns], NaN before anything was."""
+        i = np.searchsorted(self.stamps, stamps, side='right') - 1
+        return np.where(i >= 0, self.values[i], np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The tracks of sensors and commands, by channel."""
+    """The tracks of sensors and commands, by channel; all have the same origin."""
 
     tracks: Mapping[str, Track]
+    name: str = ''  # where it is from
+    units: Mapping[str, str] = field(default_factory=dict)  # where they are known
+
+    @property
+    def origin(self) -> int:
+        """The stamp of the time 0 [ns]."""
+        return next((track.origin for track in self.tracks.values()), BEGIN)
+
+    @property
+    def seconds(self) -> float:
+        """Until when something was said, from the origin on."""
+        return max((track.times[-1] for track in self.tracks.values() if len(track.stamps)),
+                   default=0.0)
 
     def events(self) -> Iterator[tuple[int, dict[str, float]]]:
         """Yield each stamp [ns] once, in order, with what was said then by channel."""

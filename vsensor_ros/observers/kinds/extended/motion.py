@@ -25,6 +25,7 @@ class Motion:
         """Prepare for the equations of a model."""
         self._model, self._h = model, h
         self._nodes = [parse(text) for text in model.equations]
+        self._definitions = [(name, parse(text)) for name, text in model.definitions]
         driving = (*model.inputs, *model.unknown)
         noise = np.concatenate([model.input_noise, model.unknown_noise])
         self._driving = [name for name, of_it in zip(driving, noise) if of_it]
@@ -61,6 +62,7 @@ class Motion:
 
         def slopes_at(x: Sequence[int], u: Sequence[int]) -> list[int]:
             names = self._names(x, u, n + 3 * m)
+            tape.define(self._definitions, names)
             return [tape.place(node, names) for node in self._nodes]
         if self._model.sample_time is not None:
             middle: Sequence[int] = x
@@ -85,6 +87,7 @@ class Motion:
         n, m = len(self._nodes), len(self._model.inputs)
         tape = Tape(n + m + len(self._rest))
         names = self._names(range(n), range(n, n + m), n + m)
+        tape.define(self._definitions, names)
         slopes = Slopes(tape, [tape.place(node, names) for node in self._nodes], self._by(names))
         return slopes, Program(tape, slopes.places)
 
