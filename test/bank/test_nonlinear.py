@@ -1,5 +1,6 @@
 """Nonlinear virtual sensors in the bank, of answers written by hand; truth is simulated."""
 
+import json
 import pickle
 
 import numpy as np
@@ -7,7 +8,6 @@ import pytest
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.bank import Bank
-from vsensor_ros.designer import design
 from vsensor_ros.designer.algebra.answer import (
     CERTIFIED,
     Condition as Holds,
@@ -95,7 +95,7 @@ def square(t, period):
 # that a study in plain numpy had, with injection or without
 CASES = {
     'tank': (TANK, ('thermometer',), HEAT, '15 + z1/level', 50, 24.0,
-             lambda t: 0.05 + 0.95 * (1 + square(t, 6)), lambda t: [5 + 3 * np.sin(t / 2)],
+             lambda t: 0.65 + 0.3 * square(t, 6), lambda t: [5 + 3 * np.sin(t / 2)],
              [1.5, 45], 0.0123),
     'motor': (MOTOR, ('tacho',), ENERGY, 'sqrt(z1 - 5*ammeter**2)', 500, 2.5,
               lambda t: 0.4 + 0.35 * np.sin(9 * t), lambda t: [20 + 5 * np.sin(2 * t)], [1, 30],
@@ -113,8 +113,9 @@ def made(tmp_path, text, lost, observer, out):
     path.write_text(text)
     plant = load_plant(path)
     entry = pickle.loads(pickle.dumps(nonlinear_entry(plant, lost, lost[0], observer, out)))
-    whole = design(plant, [lost], scheduled=False, extended=False, temporary=False)
-    Design(**{**vars(whole), 'entries': {(lost, lost[0]): entry}}).save(tmp_path / 'd.json')
+    Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
+           dict(plant.units), plant.sample_time, {(lost, lost[0]): entry}).save(
+               tmp_path / 'd.json')
     return plant, Design.load(tmp_path / 'd.json')
 
 
@@ -212,6 +213,13 @@ def test_it_rehearses_beside_the_healthy_channel(tmp_path):
     assert measured is not None and measured.rms < 2 * bar
 
 
+@pytest.fixture(name='record', scope='module')
+def _record(tmp_path_factory):
+    path = tmp_path_factory.mktemp('tank')
+    made(path, *CASES['tank'][:4])
+    return (path / 'd.json').read_text()
+
+
 @pytest.mark.parametrize(('change', 'said'), [
     ({'F': ['__import__("os")']}, r"entries\[0\].F\[0\]: the function '__import__' is not in"),
     ({'F': ['P - z1/speed']}, r"entries\[0\].F\[0\]: unknown name 'speed'"),
@@ -231,11 +239,8 @@ def test_it_rehearses_beside_the_healthy_channel(tmp_path):
     ({'phi': ['V*(T - x)']}, r"entries\[0\].phi\[0\]: unknown name 'x'"),
     ({'more': 1}, r'entries\[0\].more: is not a key'),
 ])
-def test_what_is_wrong_with_it_is_one_line(tmp_path, change, said):
-    import json
-    text, lost, observer, out, *_ = CASES['tank']
-    made(tmp_path, text, lost, observer, out)
-    record = json.loads((tmp_path / 'd.json').read_text())
+def test_what_is_wrong_with_it_is_one_line(tmp_path, record, change, said):
+    record = json.loads(record)
     record['entries'][0].update(change)
     (tmp_path / 'd.json').write_text(json.dumps(record))
     with pytest.raises(BadInput, match=said) as caught:

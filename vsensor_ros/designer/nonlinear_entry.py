@@ -32,6 +32,7 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.observers import Condition, NonlinearSensor
+from vsensor_ros.observers.kinds.nonlinear.batch import LEFT
 from vsensor_ros.observers.kinds.nonlinear.motion import Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import names_in
 from vsensor_ros.plant import Plant
@@ -44,7 +45,6 @@ LONGEST, TOLD = 3000, 500  # steps: of the drift after the loss, and until all i
 NEARLY = 1.5  # times the least deviation: then the channels have told enough
 STATE = ':'  # before the name of a state among those of sensors
 LAST, AT_EACH = 1e6, 8  # s of drift that are worked out, and steps of twice the length each
-LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
 
 
 @dataclass(frozen=True, eq=False)
