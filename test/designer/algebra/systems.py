@@ -130,9 +130,9 @@ CASES = {
 YAW_UNKNOWN = system({'x': (-5, 5), 'y': (-5, 5), 'th': CIRCLE}, ['v*cos(th)', 'v*sin(th)', 'rho'],
                      {'y1': 'x', 'y2': 'y'}, {'th': 'th'}, {'v': (0, 1)}, {'rho': (-1, 1)},
                      ('th',))
-HEISENBERG = system({s: (-1, 1) for s in 'abc'}, ['0', 'rho', 'a*rho'], {'y': 'a'}, {'c': 'c'},
+HEISENBERG = system(dict.fromkeys('abc', (-1, 1)), ['0', 'rho', 'a*rho'], {'y': 'a'}, {'c': 'c'},
                     {}, {'rho': (-1, 1)})
-NOT_INVOLUTIVE = system({s: (-1, 1) for s in 'abcq'}, ['r1', 'r2', 'a*r2', '-q + c'], {'y': 'q'},
+NOT_INVOLUTIVE = system(dict.fromkeys('abcq', (-1, 1)), ['r1', 'r2', 'a*r2', '-q + c'], {'y': 'q'},
                         {'c': 'c'}, {}, {'r1': (-1, 1), 'r2': (-1, 1)})
 MOTOR_BY_EULER = system({'i': (-5, 5), 'w': (1, 100)},
                         ['i + 0.001*(-i - rho*w + U)/0.05', 'w + 0.001*(rho*i - 0.02*w)/0.01'],

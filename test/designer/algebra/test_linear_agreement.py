@@ -34,10 +34,10 @@ def plants(count, sizes, discrete, seed):
         x, u, r = ([f'{letter}{i}' for i in range(size)] for letter, size in (
             ('x', n), ('u', m), ('r', s)))
         yield A.astype(float), C.astype(float), D.astype(float), V, read(system(
-            {name: (-1, 1) for name in x},
+            dict.fromkeys(x, (-1, 1)),
             [linear([*A[i], *B[i], *D[i]], [*x, *u, *r]) for i in range(n)],
             {f'y{i}': linear(row, x) for i, row in enumerate(C)}, {'v': linear(V[0], x)},
-            {name: (-1, 1) for name in u}, {name: (-1, 1) for name in r}, (),
+            dict.fromkeys(u, (-1, 1)), dict.fromkeys(r, (-1, 1)), (),
             1.0 if discrete else None))
 
 
