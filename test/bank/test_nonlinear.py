@@ -112,7 +112,8 @@ def made(tmp_path, text, lost, observer, out):
     path = tmp_path / 'plant.yaml'
     path.write_text(text)
     plant = load_plant(path)
-    entry = pickle.loads(pickle.dumps(nonlinear_entry(plant, lost, lost[0], observer, out)))
+    entry = pickle.loads(pickle.dumps(  # noqa: S301
+        nonlinear_entry(plant, lost, lost[0], observer, out)))
     Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
            dict(plant.units), plant.sample_time, {(lost, lost[0]): entry}).save(
                tmp_path / 'd.json')

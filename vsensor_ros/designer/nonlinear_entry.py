@@ -235,6 +235,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             said.append(deviation)
             if len(said) > 20 and said[-20] - deviation < 1e-4 * deviation:
                 break
+    followed = period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1]))) if said else 0.0
     ages, drift = [0.0], [said[-1] if said else motion.deviation(np.concatenate(
         [x, P.ravel(), np.zeros(2)])[None], y, u)]
     step = 1
@@ -257,8 +258,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
         entry, ages=np.array(ages), drift=np.array(drift),
         warm_up=0.0 if not entry.decay else
         math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
-        followed=period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1])))
-        if said else 0.0)
+        followed=followed)
 
 
 def _point(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
