@@ -146,6 +146,7 @@ def test_every_import_is_declared():
     setup.read(ROOT / 'setup.cfg')
     declared = {
         re.split(r'[<>=~]', line)[0].lower().replace('pyyaml', 'yaml')
+        .replace('python-flint', 'flint')
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
                      setup['options.extras_require']['tools'],

@@ -112,6 +112,18 @@ class Inside:
         return abs(one - other) > 1e-6 * max(abs(one), abs(other))
 
 
+def beginnings(inside: Inside, targets: Sequence[Node], most: int) -> list[list[Function]]:
+    """Return some ways to begin: nothing, which takes the simplest function, or another one."""
+    if inside.missing([], targets) != 1:
+        return [[]]
+    x = inside.model.points(inside.known([]).shape[2], 41)[:len(inside.model.states)]
+    K, d = kernels(np.concatenate([inside.known([]), inside.gradients(targets)]))
+    span = inside.gamma if not d else constant_along(inside.dictionary, inside.gamma, x, K)
+    others = [f for f in inside.simplest_first(span)
+              if inside.missing([], [f.node]) and not inside.missing([f], targets)]
+    return [[], *([f] for f in others[1:most])]
+
+
 def closed(inside: Inside, chosen: Sequence[Function],
            targets: Sequence[Node]) -> list[Function] | None:
     """Return `chosen` and what more is needed to tell the targets and all their own changes."""
