@@ -149,7 +149,7 @@ def test_every_import_is_declared():
     setup = ConfigParser()
     setup.read(ROOT / 'setup.cfg')
     declared = {
-        {'pyyaml': 'yaml', 'pin': 'pinocchio'}.get(name, name)
+        {'pyyaml': 'yaml', 'pin': 'pinocchio', 'python-flint': 'flint'}.get(name, name)
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
                      setup['options.extras_require']['recordings'],

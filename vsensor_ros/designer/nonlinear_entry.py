@@ -32,6 +32,7 @@ from vsensor_ros.functions.expression import (
     to_text,
 )
 from vsensor_ros.observers import Condition, NonlinearSensor
+from vsensor_ros.observers.kinds.nonlinear.batch import LEFT
 from vsensor_ros.observers.kinds.nonlinear.motion import Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import names_in
 from vsensor_ros.plant import Plant
@@ -44,7 +45,6 @@ LONGEST, TOLD = 3000, 500  # steps: of the drift after the loss, and until all i
 NEARLY = 1.5  # times the least deviation: then the channels have told enough
 STATE = ':'  # before the name of a state among those of sensors
 LAST, AT_EACH = 1e6, 8  # s of drift that are worked out, and steps of twice the length each
-LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +235,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             said.append(deviation)
             if len(said) > 20 and said[-20] - deviation < 1e-4 * deviation:
                 break
+    followed = period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1]))) if said else 0.0
     ages, drift = [0.0], [said[-1] if said else motion.deviation(np.concatenate(
         [x, P.ravel(), np.zeros(2)])[None], y, u)]
     step = 1
@@ -257,8 +258,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
         entry, ages=np.array(ages), drift=np.array(drift),
         warm_up=0.0 if not entry.decay else
         math.log(max(math.e, first / (LEFT * drift[-1]))) / entry.decay,
-        followed=period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1])))
-        if said else 0.0)
+        followed=followed)
 
 
 def _point(plant: Plant, entry: NonlinearSensor, sampled: Sampled,

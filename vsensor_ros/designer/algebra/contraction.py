@@ -24,6 +24,7 @@ from vsensor_ros.functions.expression import Node
 
 _SOLVED_ON, _VERIFIED_ON = 60, 3000  # sampled points
 _NEUTRAL = 1e-9  # of the size of dF/dz: an error that stays
+_WORTH = 1e-3    # of how fast the plant moves: slower is as if it stayed
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)
 _RATES = (0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 
@@ -120,6 +121,9 @@ def stability(error: ErrorSystem) -> Stability:
                              float(np.abs(A).max(initial=0.0)))
     if k > 1 and best.rate <= neutral and not _hopeless(A, discrete, neutral):
         best = max(best, _by_lmi(error, A, size), key=lambda own: own.rate)
+    worth = max(neutral, 0.0 if discrete else _WORTH * error.own_rate)
+    if neutral < best.rate and (best.rate < worth or _leaves(error)):
+        return Stability(TEMPORARY, 0.0, best.metric)
     if best.rate > neutral:
         grade = SAMPLED
         if np.array_equal(best.metric, np.diag(np.diag(best.metric))):
@@ -142,6 +146,22 @@ def slowest(A: np.ndarray, P: np.ndarray, discrete: bool) -> float:
         largest = float(np.linalg.norm(own, 2, axis=(1, 2)).max())
         return -math.log(largest) if largest > 0.0 else math.inf
     return -0.5 * float(np.linalg.eigvalsh(own + np.swapaxes(own, 1, 2))[:, -1].max())
+
+
+def _leaves(error: ErrorSystem) -> bool:
+    """
+    Tell whether some z only rises, or only falls, all over its range.
+
+    Then it cannot stay there, and that an error shrinks for so long says nothing: 1/x of an x
+    that grows has an ever smaller error, and x itself has not.
+    """
+    known, _ = error.points(_VERIFIED_ON, 73, 0.0)
+    with np.errstate(all='ignore'):
+        change = Equations(error.F, error.variables).values(known)
+    if error.model.discrete:
+        change = change - known[:len(error.names)]
+    change = change[:, np.isfinite(change).all(axis=0)]
+    return bool(((change > 0.0).all(axis=1) | (change < 0.0).all(axis=1)).any())
 
 
 def _hopeless(A: np.ndarray, discrete: bool, neutral: float) -> bool:

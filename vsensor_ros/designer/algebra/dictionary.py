@@ -34,6 +34,7 @@ class Atom:
     least: int = 0
     most: int = 9
     cost: int = 0  # how much less simple than a power of the variable
+    alone: bool = False  # not beside other atoms of the variable: they would depend on each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,9 @@ def build(variables: Sequence[str], atoms: Sequence[Sequence[Atom]], degree: int
         for powers in itertools.product(*(range(max(a.least, -degree), min(a.most, degree) + 1)
                                           for a in own)):
             size = sum(map(abs, powers))
-            if size <= degree:
+            crowded = sum(map(bool, powers)) > 1 and any(
+                p and a.alone for a, p in zip(own, powers))
+            if size <= degree and not crowded:
                 node: Node = ONE
                 for atom, p in zip(own, powers):
                     node = times(node, power(atom.node, float(p))) if p else node
@@ -176,11 +179,29 @@ def state_atoms(name: str, positive: bool, plant: Sequence[Node], laurent: bool 
     for inner in dict.fromkeys(waves):
         atoms += [Atom(call('cos', inner), 0, 1, not angle),
                   Atom(call('sin', inner), 0, 9, not angle)]
+    if laurent:
+        atoms += [Atom(node, -1, 0, 1, True) for node in shifts(name, plant)]
     if curved and positive:
         others += [call('log', x), call('sqrt', x)]
     least = -1 if laurent else 0
     return atoms + [Atom(node, least if node == call('sqrt', x) else 0, 1, 1)
                     for node in dict.fromkeys(others)]
+
+
+def shifts(name: str, plant: Sequence[Node]) -> list[Node]:
+    """Return what stands in the plant as a factor `c - x` or `x - c`, one for each c."""
+    found: dict[float, Node] = {}
+    for node in plant:
+        for part in walk(node):
+            if not (isinstance(part, Apply) and part.function in ('*', '/')):
+                continue
+            for factor in part.arguments:
+                if isinstance(factor, Apply) and factor.function in ('+', '-') \
+                        and set(map(type, factor.arguments)) == {Number, Name} \
+                        and names(factor) == (name,):
+                    c = next(a.value for a in factor.arguments if isinstance(a, Number))
+                    found.setdefault(c if factor.function == '-' else -c, factor)
+    return [factor for c, factor in found.items() if c][:2]
 
 
 def combination(dictionary: Dictionary, coefficients: np.ndarray) -> Node:

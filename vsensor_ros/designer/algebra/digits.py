@@ -18,6 +18,7 @@ DIGITS = 50
 _WORKING = 90  # digits: what is lost on the way must leave 50
 _SIMPLE = 10 ** 6  # largest denominator of a number that is read as a fraction
 _POINTS = 6
+_NOTHING = 1e-60
 
 Exact = Mapping[float, Any]  # numbers of which more is known than their 16 digits
 
@@ -147,6 +148,15 @@ def vanishes(terms: Sequence[Node], names: Sequence[str], at: np.ndarray,
             if tried == _POINTS:
                 return True
     return False
+
+
+def zero(node: Node, names: Sequence[str], at: np.ndarray, exact: Exact | None = None) -> bool:
+    """Tell whether an expression is 0 at all points (V, N) but for rounding at its last digits."""
+    with precise():
+        program = Program([node], exact)
+        values = [program.at(point)[0] for point in points(names, at)]
+        known = [abs(float(v.mid())) for v in values if v.is_finite()]
+    return len(known) >= _POINTS and max(known) < _NOTHING
 
 
 def solved(columns: Sequence[Node], target: Node, names: Sequence[str], at: np.ndarray,

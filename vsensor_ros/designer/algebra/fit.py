@@ -35,6 +35,8 @@ LEVELS = ((1, False), (2, False), (2, True), (3, False), (3, True), (4, False), 
 _MOST = 420   # monomials
 _FITS = 1e-9  # of the largest value: below it nothing is left over
 _INDEPENDENT = 1e-9
+_NOTHING = 1e-9
+_CURVED = frozenset(('log', 'exp', 'sqrt', 'tanh', 'atan'))
 
 
 @dataclass(frozen=True)
@@ -121,9 +123,13 @@ def over_known(model: Model, known: Sequence[Known], degree: int,
         waves = [part for node in model.f for part in walk(node)
                  if isinstance(part, Apply) and part.function in ('sin', 'cos')
                  and part.arguments[0] == k.node]
-        atoms.append(state_atoms(k.name, bool((value > 0).all() or (value < 0).all()),
-                                 [Apply('sin', (Name(k.name),))] if waves or k.angle else [],
-                                 laurent, angle=k.angle))
+        own = state_atoms(k.name, bool((value > 0).all() or (value < 0).all()),
+                          [Apply('sin', (Name(k.name),))] if waves or k.angle else [],
+                          laurent, angle=k.angle)
+        bent = dict.fromkeys(part.function for other in known for part in walk(other.node)
+                             if isinstance(part, Apply) and part.function in _CURVED
+                             and part.arguments == (k.node,) and other.most == 9)
+        atoms.append(own + [Atom(Apply(name, (Name(k.name),)), 0, 1, 1) for name in bent])
     return build([k.name for k in known], atoms, degree, _MOST)
 
 
@@ -144,7 +150,7 @@ def _in(model: Model, dictionary: Dictionary, target: Node, known: Sequence[Know
     if len(goal) < len(dictionary) + 5:
         return None
     size = np.abs(goal).max()
-    if size == 0.0:
+    if size < _NOTHING and digits.zero(target, model.variables, model.points(20, 15), exact):
         return Fitted(Number(0.0), {})
     scale = np.abs(columns).max(axis=0)
     scale[scale == 0.0] = 1.0

@@ -3,8 +3,8 @@ A proof that nothing exists: the directions that any decoupled function must be 
 
 D_0 is what the unknown inputs push, D_(i+1) the involutive closure of D_i + [f_u, K_i], where K_i
 is what of D_i no healthy sensor feels. A function z = phi(x) with z' = F(z, y, u) is constant
-along all of D, so where some of K moves what is wanted there is none. Needs no dictionary; continuous
-time and smooth plants only.
+along all of D, so where some of K moves what is wanted there is none. Needs no dictionary;
+continuous time and smooth plants only.
 """
 
 from __future__ import annotations

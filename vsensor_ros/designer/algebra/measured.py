@@ -25,7 +25,7 @@ from vsensor_ros.functions.expression import names, Node
 MOST_MEASURED = 4
 _FASTER = 1.2  # than the plant itself moves
 _SAMPLES = 400
-_FEW = 40       # of them, in matrix inequalities
+_FEWEST, _FEW = 8, 40  # of them, in matrix inequalities: to see that there is nothing, and all
 _WORTH = 0.01   # of how fast the plant moves: slower is not worth it
 _BEYOND = 0.5  # of a range
 _LARGEST = 10.0  # gain: how often the size of z over that of w
@@ -110,11 +110,11 @@ def _by_lmi(A: np.ndarray, C: np.ndarray, size: np.ndarray, discrete: bool,
     unit = np.abs(scaled_C).max(axis=(0, 2))
     scaled_C = scaled_C / unit[:, None]
     best = None
-    for share in (0.03, 0.3, 1.0):
+    for share, few in ((0.03, _FEWEST), (0.03, _FEW), (0.3, _FEW), (1.0, _FEW)):
         P = cp.Variable((k, k), symmetric=True)
         Y = cp.Variable((k, w))
         constraints = [P >> np.eye(k), P << 100.0 * np.eye(k)]
-        for a, c in zip(scaled_A[:_FEW], scaled_C[:_FEW]):
+        for a, c in zip(scaled_A[:few], scaled_C[:few]):
             own = P @ a - Y @ c
             constraints.append(own + own.T + 2.0 * share * typical * P << 0)
         problem = cp.Problem(cp.Minimize(cp.norm(Y, 'fro')), constraints)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
@@ -141,6 +141,13 @@ def read(system: System) -> Model:
          for name, text in system.sensors.items()},
         {name: parse(text, WHERE, f'wanted.{name}', states)
          for name, text in system.wanted.items()})
+
+
+def driven(model: Model) -> Model:
+    """Return a model whose unknown inputs count as inputs."""
+    system = replace(model.system, inputs={**model.system.inputs, **model.system.unknown},
+                     unknown={})
+    return replace(model, system=system)
 
 
 def gradients(nodes: Sequence[Node], variables: Sequence[str], at: np.ndarray) -> np.ndarray:

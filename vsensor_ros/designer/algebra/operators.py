@@ -9,7 +9,7 @@ the ranges; what a dictionary does not hold is *not decided*. Source: Symmetry 1
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from vsensor_ros.designer.algebra.derivative import rebuilt
 from vsensor_ros.designer.algebra.dictionary import Atom, build, Dictionary
 from vsensor_ros.designer.algebra.forced import closure_of_kernels
 from vsensor_ros.designer.algebra.invariant import constant_along, foreseen
-from vsensor_ros.designer.algebra.model import gradients, Model
+from vsensor_ros.designer.algebra.model import driven, gradients, Model
 from vsensor_ros.designer.algebra.null_space import kernels, null_space
 from vsensor_ros.designer.algebra.preimage import second_preimage
 from vsensor_ros.designer.algebra.reduction import Inside
@@ -175,7 +175,7 @@ def delta(model: Model, a: Element, b: Element) -> Decision:
         first = at_most(space, a, b)
         if first.verdict is not Verdict.YES:
             return first
-    inside = Inside(_driven(model), _ones(model), np.zeros((0, 0)))
+    inside = Inside(driven(model), _ones(model), np.zeros((0, 0)))
     known = inside.gradients(a, False)
     more = inside.gradients([next_of(model, node) for node in b])
     few = np.s_[:, :, :_POINTS]
@@ -197,7 +197,7 @@ def M(model: Model, b: Element) -> Element:
     commands += [{name: float(np.round(random.uniform(low, high), 3)) for name, (low, high) in zip(
         model.variables[len(model.states):], model.declared[len(model.states):])}
         for _ in range(3)]
-    inner = Inside(_driven(model), _ones(model), np.zeros((0, 0)))
+    inner = Inside(driven(model), _ones(model), np.zeros((0, 0)))
     for command in commands:
         numbers = {name: Number(value) for name, value in command.items()}
         for node in b:
@@ -216,7 +216,7 @@ def m(model: Model, a: Element, dictionary: Dictionary) -> Result:
 
     Discrete time: f must reach an open set (`search.image_rank`), else what is found says nothing.
     """
-    driven = _driven(model)
+    known = driven(model)
     names = model.states
 
     def kernel(at: np.ndarray) -> tuple[np.ndarray, int]:
@@ -227,21 +227,14 @@ def m(model: Model, a: Element, dictionary: Dictionary) -> Result:
         K, d = kernel(at)
         if d:
             within = constant_along(dictionary, within, at, K)
-    span = foreseen(driven, dictionary, within, kernel)
+    span = foreseen(known, dictionary, within, kernel)
     found: Element = ()
     space = space_of(model)
-    for f in Inside(driven, dictionary, span).simplest_first(span):
+    for f in Inside(known, dictionary, span).simplest_first(span):
         if at_most(space, found, (f.node,)).verdict is not Verdict.YES:
             found = (*found, f.node)
     return Result(found, Decision(Verdict.NOT_DECIDED, Reason.of('functions beyond dictionary'))
                   if len(found) < len(names) else YES)
-
-
-def _driven(model: Model) -> Model:
-    """Return a model whose unknown inputs count as inputs."""
-    system = replace(model.system, inputs={**model.system.inputs, **model.system.unknown},
-                     unknown={})
-    return replace(model, system=system)
 
 
 def _ones(model: Model) -> Dictionary:

@@ -15,7 +15,7 @@ import numpy as np
 from vsensor_ros.designer.algebra.coefficients import Function, named, next_of
 from vsensor_ros.designer.algebra.dictionary import Dictionary
 from vsensor_ros.designer.algebra.invariant import constant_along
-from vsensor_ros.designer.algebra.model import Model
+from vsensor_ros.designer.algebra.model import driven, Model
 from vsensor_ros.designer.algebra.null_space import echelon, kernels, ranks
 from vsensor_ros.designer.algebra.preimage import Twins
 from vsensor_ros.functions.equations import Equations
@@ -112,6 +112,18 @@ class Inside:
         return abs(one - other) > 1e-6 * max(abs(one), abs(other))
 
 
+def beginnings(inside: Inside, targets: Sequence[Node], most: int) -> list[list[Function]]:
+    """Return some ways to begin: nothing, which takes the simplest function, or another one."""
+    if inside.missing([], targets) != 1:
+        return [[]]
+    x = inside.model.points(inside.known([]).shape[2], 41)[:len(inside.model.states)]
+    K, d = kernels(np.concatenate([inside.known([]), inside.gradients(targets)]))
+    span = inside.gamma if not d else constant_along(inside.dictionary, inside.gamma, x, K)
+    others = [f for f in inside.simplest_first(span)
+              if inside.missing([], [f.node]) and not inside.missing([f], targets)]
+    return [[], *([f] for f in others[1:most])]
+
+
 def closed(inside: Inside, chosen: Sequence[Function],
            targets: Sequence[Node]) -> list[Function] | None:
     """Return `chosen` and what more is needed to tell the targets and all their own changes."""
@@ -126,3 +138,16 @@ def closed(inside: Inside, chosen: Sequence[Function],
             result.append(f)
             waiting.append([next_of(inside.model, f.node)])
     return result
+
+
+def remainder(inside: Inside, chosen: Sequence[Function],
+              targets: Sequence[Node]) -> list[Function] | None:
+    """
+    Return what more is needed to tell the targets, though unknown inputs reach it.
+
+    With `chosen`, which they do not reach, it makes the composition of two systems in the paper:
+    the second is driven by the first. Its error is not free of the unknown inputs.
+    """
+    whole = Inside(driven(inside.model), inside.dictionary, np.eye(len(inside.dictionary)))
+    found = closed(whole, chosen, targets)
+    return None if found is None else found[len(chosen):]

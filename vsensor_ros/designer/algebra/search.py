@@ -34,7 +34,7 @@ from vsensor_ros.designer.algebra.measured import (
 from vsensor_ros.designer.algebra.model import Model, read
 from vsensor_ros.designer.algebra.null_space import ranks
 from vsensor_ros.designer.algebra.preimage import second_preimage, Twins
-from vsensor_ros.designer.algebra.reduction import closed, Inside
+from vsensor_ros.designer.algebra.reduction import beginnings, closed, Inside
 from vsensor_ros.designer.algebra.residuals import relations, tied
 from vsensor_ros.designer.algebra.told import output, Told
 from vsensor_ros.designer.algebra.validity import conditions
@@ -46,6 +46,7 @@ LEVELS = ((1, False, False), (2, False, False), (2, True, False), (2, True, True
           (3, False, False), (3, True, False), (3, True, True), (4, False, False))
 _WIDER = (2, False, False)
 _BEFORE_PROOF = 2  # levels, which are cheaper than to prove that there is nothing
+_BEGINNINGS = 5  # functions tried, while the error of an observer of one may grow
 _SEPARATED = 4  # functions added at most so that the output map has one value
 
 
@@ -95,8 +96,8 @@ def find(system: System, levels: Sequence[tuple[int, bool, bool]] = LEVELS) -> A
             continue
         if answer.observer is not None:
             return answer
-        refused = refused or answer
-        if answer.verdict is Verdict.YES:
+        refused = answer if refused is None or refused.verdict is not Verdict.YES else refused
+        if refused.verdict is Verdict.YES and (i + 1 >= len(levels) or levels[i + 1][0] > 2):
             break
     return refused or Answer(Verdict.NOT_DECIDED, Reason.of(
         'functions none found', wanted=wanted, count=looked_at[1], degree=looked_at[0]))
@@ -143,7 +144,23 @@ def attempt(inside: Inside, wider: Callable[[], Inside]) -> Answer | None:
 
     wider: gives gamma* of a dictionary that is large enough for what helps to converge.
     """
-    candidate = candidate_in(inside)
+    first: Answer | None = None
+    for begun in beginnings(inside, list(targets_of(inside.model).values()), _BEGINNINGS):
+        found = attempt_from(inside, begun, wider)
+        if found is None:
+            return first
+        if found.observer is not None and (first is None or found.observer.grade != TEMPORARY):
+            return found  # that the error of 1/x stays says nothing where that of x grows
+        first = first or found
+        if found.reason is None or found.reason.code != 'functions not stable':
+            break  # another function tells no more
+    return first
+
+
+def attempt_from(inside: Inside, begun: Sequence[Function],
+                 wider: Callable[[], Inside]) -> Answer | None:
+    """Return an answer within gamma* that has functions to begin with."""
+    candidate = candidate_in(inside, begun)
     if candidate is None or isinstance(candidate, Answer):
         return candidate
     signs = tuple((node, 1) for name, node in targets_of(inside.model).items()
@@ -172,11 +189,11 @@ def attempt(inside: Inside, wider: Callable[[], Inside]) -> Answer | None:
     return Answer(Verdict.YES, None, observer(candidate, error, known, zeros), phi)
 
 
-def candidate_in(inside: Inside) -> Candidate | Answer | None:
+def candidate_in(inside: Inside, begun: Sequence[Function]) -> Candidate | Answer | None:
     """Return functions inside gamma*, their right-hand sides and the output map."""
     model = inside.model
     targets = targets_of(model)
-    chosen = closed(inside, [], list(targets.values()))
+    chosen = closed(inside, begun, list(targets.values()))
     twins = None
     for _ in range(_SEPARATED):
         if chosen is None:

@@ -14,6 +14,8 @@ from vsensor_ros.observers.kinds.nonlinear.motion import Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import NonlinearSensor
 from vsensor_ros.reason import add_sentences, Reason
 
+LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
+
 add_sentences({'where it says nothing': '{words}'})
 
 
@@ -107,8 +109,11 @@ class NonlinearBatch(Batch):
         return bool((at < limits[:, 0]).any() or (at > limits[:, 1]).any())
 
     def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
-        """Return what its covariance says."""
-        return self._deviation(output, z[output])
+        """Return what its covariance says, and what may be left of the start at worst."""
+        entry = self.entries[output]
+        left = 0.0 if entry.grade == 'temporary' else float(entry.drift[-1]) * math.exp(
+            min(entry.decay * (entry.warm_up - age), 700.0))
+        return math.hypot(self._deviation(output, z[output]), LEFT * left)
 
     def along(self, i: int, z: np.ndarray) -> float:
         """Return what the covariance of a free run says."""
