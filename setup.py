@@ -33,7 +33,7 @@ setup(
         # says, so that what both installers have in common is a file copied to its place.
         (f'lib/{package_name}', [f'scripts/{name}' for name in (
             'check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
-            'recording', 'replacer', 'replay', 'wire')]),
+            'recording', 'replacer', 'replay', 'start', 'wire')]),
     ],
     # On the PATH, where a bare `designer` would collide with anybody's.
     entry_points={

@@ -3,14 +3,17 @@ What filters on the equations cost a tick, beside filterpy's one by one, in one 
 
 Three coupled pendulums, six states and ten sensors. Ours: a bank with the filters of so many fault
 sets, of which each loses its first sensor, with what tracks them and parameters that are
-considered. The peer: filterpy's extended Kalman filter on the same generated model (values and
-derivatives by `Equations`, Runge and Kutta), all sensors but one, no parameter considered.
+considered: a bank of one runs two filters, one that the lost sensor corrects and one that goes on
+without it. The peer: filterpy's extended Kalman filter with Runge and Kutta, all sensors but one,
+no parameter considered. Its model is the same generated one (values and derivatives by
+`Equations`), or written by hand in numpy.
 
     python -m benchmark.extended
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,7 +29,8 @@ from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers import Model
 from vsensor_ros.plant import Plant
 
-PERIOD, TICKS, FORGOTTEN = 0.01, 600, 100
+Map = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of states (6,) and commands (1,)
+PERIOD, TICKS, FORGOTTEN = 0.01, 2000, 100
 PENDULUMS = """
 name: pendulums
 time: continuous
@@ -91,24 +95,51 @@ def ours(plant: Plant, count: int) -> float:
     return min(times[FORGOTTEN:])
 
 
-def peer(model: Model) -> float:
+def generated(model: Model) -> tuple[Map, Map]:
+    """Return the derivatives and their slopes as `Equations` have them."""
+    f = Equations([parse(text) for text in model.equations], (
+        *model.states, *model.inputs, *model.unknown, *model.parameters))
+
+    def at(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([x, u, model.values])[:, None]
+    return (lambda x, u: f.values(at(x, u))[:, 0],
+            lambda x, u: f.slopes(at(x, u))[1][:, :len(x), 0])
+
+
+def by_hand(model: Model) -> tuple[Map, Map]:
+    """Return them as one writes them down."""
+    (k, c), g, sin, cos = model.values, 9.81, np.sin, np.cos
+
+    def values(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        a1, a2, a3, w1, w2, w3 = x
+        return np.array([w1, w2, w3,
+                         -g * sin(a1) - c * w1 + k * (a2 - a1) + u[0],
+                         -g * sin(a2) - c * w2 + k * (a1 + a3 - 2 * a2),
+                         -g * sin(a3) - c * w3 + k * (a2 - a3)])
+
+    def slopes(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        a1, a2, a3, *_ = x
+        return np.array([[0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1],
+                         [-g * cos(a1) - k, k, 0, -c, 0, 0],
+                         [k, -g * cos(a2) - 2 * k, k, 0, -c, 0],
+                         [0, k, -g * cos(a3) - k, 0, 0, -c]])
+    return values, slopes
+
+
+def peer(model: Model, values: Map, slopes: Map) -> float:
     """Return the least time [s] of a step of filterpy's filter."""
     from filterpy.kalman import ExtendedKalmanFilter
-    f, n, h = Equations([parse(text) for text in model.equations], (
-        *model.states, *model.inputs, *model.unknown, *model.parameters)), 6, PERIOD
+    n, h = 6, PERIOD
 
     class Filter(ExtendedKalmanFilter):
         def predict_x(self, u: np.ndarray) -> None:
-            def at(x: np.ndarray) -> np.ndarray:
-                return np.concatenate([x, u, model.values])[:, None]
             x = self.x
-            k1 = f.values(at(x))[:, 0]
-            k2 = f.values(at(x + h / 2 * k1))[:, 0]
-            k3, slopes = f.slopes(at(x + h / 2 * k2))
-            k4 = f.values(at(x + h * k3[:, 0]))[:, 0]
-            A = slopes[:, :n, 0]
+            k1 = values(x, u)
+            k2 = values(x + h / 2 * k1, u)
+            k3, A = values(x + h / 2 * k2, u), slopes(x + h / 2 * k2, u)
+            k4 = values(x + h * k3, u)
             self.F = np.eye(n) + h * A + h * h / 2 * A @ A
-            self.x = x + h / 6 * (k1 + 2 * k2 + 2 * k3[:, 0] + k4)
+            self.x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     C, random, times = model.C[1:], np.random.default_rng(0), []
     one = Filter(n, len(C))
@@ -127,12 +158,14 @@ def main() -> None:
     plant = plant_of()
     entry = extended(plant, plant.sensors[:1], plant.sensors[0])
     assert entry is not None
-    one = peer(entry.model)
-    print(f'filterpy, one filter: {1e6 * one:.0f} us')
+    model = entry.model
+    peers = [peer(model, *made(model)) for made in (generated, by_hand)]
+    print('filterpy, one filter: {:.0f} us, by hand {:.0f} us'.format(*(1e6 * t for t in peers)))
     for count in (1, 10, 50):
         tick = ours(plant, count)
-        print(f'{count:2d} fault sets: {1e6 * tick:5.0f} us a tick, '
-              f'{tick / (count * one):.3f} of filterpy one by one')
+        shares = [tick / (count * one) for one in peers]
+        print(f'{count:2d} fault sets: {1e6 * tick:5.0f} us a tick, {shares[0]:.3f} of filterpy '
+              f'one by one, {shares[1]:.3f} of it by hand')
 
 
 if __name__ == '__main__':

@@ -290,6 +290,24 @@ def test_lost_again_before_it_is_tracked_again_it_goes_on(bench, made):
     assert abs(run.error) <= 3 * run.deviation
 
 
+def test_it_goes_on_until_its_channel_could_be_lost_anew(bench, made):
+    """For a guard after the sensor is back, nothing else could serve if it were lost."""
+    run = Run(bench, made, 8.0).until(3000)
+    run.bank.distrust({'angle'})
+    run.until(4000)
+    run.bank.distrust(())
+    for now in range(4020, 6000, PERIOD):
+        run.until(now)
+        assert run.bank.ready(*KEY) and run.bank.waiting(*KEY) == 0.0
+    assert not run.bank._runs.flights  # its tracker is by then what serves
+
+
+def test_the_way_of_a_long_guard_is_gone_at_once(bench, made):
+    run = Run(bench, made, 12.0, guard={'angle': 5.0}).until(10_000)
+    run.bank.distrust({'angle'})  # 250 steps
+    assert run.bank.ready(*KEY) and abs(run.error) <= 3 * run.deviation
+
+
 def test_how_long_it_is_good_for(bench, made):
     run = Run(bench, made, 12.0).until(3000)
     whole = run.bank.remaining(*KEY, 0.003)

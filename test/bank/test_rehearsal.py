@@ -19,6 +19,20 @@ def lag(bench):
     return build
 
 
+def test_what_a_fault_did_since_its_onset_is_no_measure(lag):
+    """It was found late: by then it was believed to be what the virtual sensor errs by."""
+    found = {}
+    for onset in (None, 30_000 * MS):
+        bank = lag()
+        follow(bank, range(0, 30_000, 10), 0.0)
+        healthy = bank.deviation(*KEY)
+        follow(bank, range(30_000, 45_000, 10), 5.0)
+        bank.distrust({'y1'}, onsets={} if onset is None else {'y1': onset})
+        found[onset] = bank.deviation(*KEY)
+    assert found[None] > 1.0
+    assert found[30_000 * MS] < 1.5 * healthy
+
+
 def follow(bank, times, y1, y2=0.0, noise=0.1, seed=0, asked=True):
     """Let y1 and y2 say these at times [ms]; return by how much the estimate is above y1's."""
     rng, found = np.random.default_rng(seed), []

@@ -117,14 +117,15 @@ def test_deviations_are_as_steep_as_the_curve(tmp_path):
     ('log(soc)*current', 'no curve of one linear combination'),
     ('1/(soc - 0.5)', 'cannot be inverted'),
 ])
-def test_what_cannot_be_inverted_is_said(tmp_path, measures, needle):
+def test_what_cannot_be_inverted_is_said_and_no_linear_map_uses_it(tmp_path, measures, needle):
     text = BATTERY.replace('states: {', 'states: {aux: {range: [0, 1]}, ').replace(
         'dynamics: {', 'dynamics: {aux: -aux, ')
     before = '3.2 + 0.7*soc + 0.1*log(soc) - 0.05*current'
     assert before in text
-    with pytest.raises(ValueError, match='sensors.voltage.measures: ') as refusal:
-        loaded(tmp_path, text.replace(before, measures))
-    assert needle in str(refusal.value) and '; ' in str(refusal.value)
+    plant = loaded(tmp_path, text.replace(before, measures))
+    [said] = [remark for remark in plant.remarks if remark.startswith('voltage is nonlinear')]
+    assert needle in said and '; ' in said
+    assert 'bend_of_voltage' in design(plant)['voltage', 'voltage'].reason
 
 
 LATE = """

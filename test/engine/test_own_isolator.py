@@ -166,6 +166,23 @@ def test_what_has_read_a_faulty_sensor_suspects_nobody_when_that_is_cleared(serv
     assert set(states) == {('healthy', ())}
 
 
+def test_the_onset_of_what_was_always_wrong_is_the_start(servo):
+    """So that nothing goes on from readings that were as wrong before it was found."""
+    plant, found = servo
+    t = np.arange(501) / 100
+    u = 3.0 * np.sin(0.9 * t[:, None])
+    x = simulate(plant, t, u, np.zeros((len(t), 1)), [0.0, 1.0, 0.0])
+    run = Run(found)
+    noise = np.random.default_rng(1).normal(0.0, 0.005, x.shape)
+    for k in range(len(t)):
+        run.step('voltage', u[k, 0], x[k] + noise[k] + [0.0, 1.8, 0.0])
+    fault, = run.engine.verdict.faults
+    assert fault.sensor == 'y2' and fault.kind == 'bias' and fault.onset <= START + 2 * PERIOD
+    assert fault.size == pytest.approx(1.8, abs=0.1)
+    (_, said), = run.sent[-1].fields
+    assert said.value == pytest.approx(x[-1, 1], abs=0.05)
+
+
 def test_it_is_blamed_until_cleared_by_whom_it_is(found):
     run = Run(found)
     run.go_on(15.0)

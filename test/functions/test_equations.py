@@ -1,9 +1,11 @@
 """Several expressions at once: what each is alone, and its slopes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from vsensor_ros.functions import equations as module
+from vsensor_ros.functions.catalogue import CATALOGUE
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import compile_expression, gradient, parse
 
@@ -34,19 +36,43 @@ def test_at_a_kink_the_slope_is_none():
     assert not slopes.any()
 
 
+def test_a_kink_spoils_no_other_slope():
+    """The root has no slope at 0; what the same equation has of another variable stays."""
+    for many in (1, 20):
+        _, slopes = Equations([parse('sqrt(x) + 3*y')], ('x', 'y')).slopes(np.zeros((2, many)))
+        np.testing.assert_array_equal(slopes[0, :, 0], [0.0, 3.0])
+
+
+@pytest.mark.parametrize('count', [1, 40])
+def test_numbers_beyond_use_are_numbers_all_the_same(count):
+    """What Python's own functions refuse numpy takes, whether points are few or many."""
+    at = np.full((3, count), 1e200)
+    at[1] = np.inf
+    with np.errstate(all='ignore'):
+        values, slopes = Equations([parse(text) for text in (
+            'x**2.5', 'sin(y)', 'x/y', 'y**3.5*x', 'tan(x*x)')], NAMES).slopes(at)
+    assert values.shape == (5, count) and (values[0] == np.inf).all() and (values[2] == 0.0).all()
+    assert np.isnan(values[1]).all() and np.isfinite(slopes).all()
+
+
+def test_few_points_are_worked_out_as_many_are():
+    nodes = [parse(text) for text in TEXTS]
+    at = np.random.default_rng(1).uniform(0.2, 2.0, (3, 40))
+    equations = Equations(nodes, NAMES)
+    for one, many in zip(equations.slopes(at[:, :2]), equations.slopes(at)):
+        np.testing.assert_allclose(one, many[..., :2], rtol=1e-13)
+
+
 def test_what_is_common_is_worked_out_once(monkeypatch):
-
-    asked = []
-    original = module.function_of
-
-    def counted(node):
-        asked.append(node.function)
-        return original(node)
-    monkeypatch.setattr(module, 'function_of', counted)
+    taken = []
+    monkeypatch.setitem(CATALOGUE, 'sin', replace(
+        CATALOGUE['sin'], value=lambda x: taken.append(1) or np.sin(x)))
     both = Equations([parse('sin(x*y) + 1'), parse('2*sin(x*y)')], ('x', 'y'))
-    assert asked.count('sin') == 1
-    np.testing.assert_allclose(both.values(np.array([[0.5], [2.0]])),
-                               [[np.sin(1.0) + 1.0], [2.0 * np.sin(1.0)]])
+    at = np.tile([[0.5], [2.0]], 20)
+    np.testing.assert_allclose(both.values(at)[:, 0], [np.sin(1.0) + 1.0, 2.0 * np.sin(1.0)])
+    assert len(taken) == 1
+    both.slopes(at)
+    assert len(taken) == 2
 
 
 def test_a_name_that_is_no_variable():

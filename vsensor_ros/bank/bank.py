@@ -43,10 +43,8 @@ class Bank(Steps):
                          for (fault_set, channel), entry in design.entries.items()}
         self._output = {(frozenset(fault_set), channel): i
                         for i, (fault_set, channel) in enumerate(self._batch.keys)}
-        guards = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
-                  for t in self._batch.tracked]
-        self._serving = Serving(self._batch, self._runs, self._past, guards, self.period * 1e-9,
-                                self._short_way)
+        self._serving = Serving(self._batch, self._runs, self._past, self._of_tracked,
+                                self.period * 1e-9, self._short_way)
         self._deviations = Deviations(
             self._batch, self._runs, self._spreads, self._measured, self._past,
             self.period * 1e-9, self._ages_at, self._widening)

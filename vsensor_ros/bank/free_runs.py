@@ -47,14 +47,21 @@ class FreeRuns:
     free run though it was lost; None: nothing is to be said.
     """
 
-    def __init__(self, batch: Batch, period: float, short_way: ShortWay) -> None:
-        """Prepare for a grid of this period [s]; short_way: of residuals (.., O) that wrap."""
+    def __init__(self, batch: Batch, period: float, guards: Sequence[float],
+                 short_way: ShortWay) -> None:
+        """
+        Prepare for a grid of this period [s].
+
+        guards (T,): the longest guard [s] of each. short_way: of residuals (.., O) that wrap.
+        """
         self.tracked = batch.tracked
         self._batch, self._period, self._short_way = batch, period, short_way
         self._trackers = np.array([t.tracker for t in self.tracked], dtype=int)
         self.free = np.array([t.free for t in self.tracked], dtype=int)
         warm = np.array([t.warm_up for t in self.tracked], dtype=float)
         self._warm = np.ceil(np.minimum(warm / period, 1e18))
+        # steps after which one that is lost could go on from before its guard
+        self._ready = self._warm + np.ceil(np.array(guards, dtype=float) / period) + 1
         self._cycle, self._begins = _rehearsals(period)
         self._alone = np.arange(batch.size)
         self.reset()
@@ -84,13 +91,12 @@ class FreeRuns:
         """Tell whether it was not chosen yet who serves."""
         return i in self._fresh
 
-    def waiting(self, i: int, state: State, guard: float) -> float:
+    def waiting(self, i: int, state: State) -> float:
         """Return the time [s] until its tracker is ready to be lost; inf: it does not run."""
         row = self._trackers[i]
         if not state.running[row]:
             return np.inf
-        return max(0.0, float(self._warm[i] + np.ceil(guard / self._period) + 1
-                              - (state.tick - state.since[row])) * self._period)
+        return max(0.0, float(self._ready[i] - (state.tick - state.since[row])) * self._period)
 
     def _good(self, state: State) -> np.ndarray:
         """Tell whose trackers run and have forgotten their starts (T,)."""
@@ -125,13 +131,15 @@ class FreeRuns:
         """
         Note who goes on and whose tracker is back; return who has lost it without being told.
 
-        Of those it says nothing who could not go on for want of other readings.
+        Of those it says nothing who could not go on for want of other readings. Who goes on does
+        so until its tracker could be lost anew: nothing could serve in between.
         """
         good = self._good(state)
+        for i in np.flatnonzero(good & self._lost).tolist():
+            if self._seeds[i] is None or not self.waiting(i, state):
+                self._land(i)
         if good.tobytes() == self._looked:
             return []
-        for i in np.flatnonzero(good & self._lost).tolist():
-            self._land(i)
         gone = np.flatnonzero(self._followed & ~good).tolist()
         self._followed, self.steady = good, bool(good.all()) and not self.flights
         self._looked = good.tobytes()

@@ -63,11 +63,16 @@ class Measured:
         # when they ended, and what each left (O,)
         self._gaps: deque[tuple[int, np.ndarray]] = deque(maxlen=_GAPS)
 
-    def forget(self, lost: np.ndarray, stopped: np.ndarray) -> None:
-        """Forget what is not yet believed of lost sensors (L,), and of who stopped (R,) bool."""
+    def forget(self, lost: np.ndarray, stopped: np.ndarray, since: int) -> None:
+        """
+        Forget what is not yet believed of lost sensors (L,), and of who stopped (R,) bool.
+
+        since: the tick of the first fault; what was believed since is forgotten, too.
+        """
         own = self._batch.own
         outputs = stopped[self._batch.of] | (lost[own] & (own >= 0))
-        self.record.forget(outputs, lost)
+        self.record.forget(outputs, lost, since)
+        self.base = self.record.in_steady_state()
         self.elsewhere.forget(outputs)
         self.growth.forget(np.array([stopped[t.tracker] for t in self._batch.tracked], dtype=bool))
 

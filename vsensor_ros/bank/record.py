@@ -13,6 +13,7 @@ was measured, a bound of it counts, by Student's distribution.
 from __future__ import annotations
 
 from collections import deque
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +88,7 @@ class Record:
         self._long = np.maximum(_MEMORY, constants) / _BLOCKS
         # the first of each is being filled
         self._blocks = np.zeros((len(_Block._fields), len(slowest), _BLOCKS))
+        self._ends = np.zeros((len(slowest), _BLOCKS), dtype=np.int64)  # index of the last in each
         self._alike = np.maximum(np.minimum(slowest, 1e9), self._block * period)  # s, see `_bound`
         self._believed = 0  # blocks so far, to _FIRST
         self._slopes: deque[np.ndarray] = deque(maxlen=_SLOPES)
@@ -136,7 +138,7 @@ class Record:
         # of the first few one learns as soon as the delay allows
         while self._waiting and (newest if self._believed < _FIRST else index) - \
                 self._waiting[0][0] >= DELAY / self._period:
-            self._believe(self._waiting.popleft()[1])
+            self._believe(*self._waiting.popleft())
         while self._heard and index - self._heard[0][0] >= _SOON / self._period:
             self._slopes.append(self._heard.popleft()[1])
             self._since_peak += 1
@@ -159,11 +161,12 @@ class Record:
         slope = (far - near) / (self._lag**2 - 1)
         return (near - np.maximum(slope, 0.0)) / 2, slope / self._period**2
 
-    def _believe(self, new: np.ndarray) -> None:
+    def _believe(self, index: int, new: np.ndarray) -> None:
         self._believed = min(self._believed + 1, _FIRST)
         full = self._blocks[0, :, 0] >= self._long
         self._blocks[:, full, 1:] = self._blocks[:, full, :-1]
         self._blocks[:, full, 0] = 0.0
+        self._ends[full, 1:], self._ends[:, 0] = self._ends[full, :-1], index
         with np.errstate(all='ignore'):
             self._blocks[:-1, :, 0] += new[:-1]
         np.fmax(self._blocks[-1, :, 0], new[-1], out=self._blocks[-1, :, 0])
@@ -255,11 +258,19 @@ class Record:
             recent = np.fmax(recent, peak)
         self.slope = np.sqrt(np.maximum(recent, 0.0))
 
-    def forget(self, rows: np.ndarray | None = None, readings: np.ndarray | None = None) -> None:
-        """Forget what is not yet believed of some virtual sensors and readings, or of all."""
+    def forget(self, rows: np.ndarray | None = None, readings: np.ndarray | None = None,
+               since: float = math.inf) -> None:
+        """
+        Forget what is not yet believed of some virtual sensors and readings, or of all.
+
+        since: the grid index from which on what is believed of these is forgotten, too.
+        """
         if rows is None:
             self._waiting.clear()
             self._heard.clear()
+        elif (late := rows[:, None] & (self._ends >= since) & (self._blocks[0] > 0.0)).any():
+            self._blocks[:, late] = 0.0
+            self._look()
         for _, block in self._waiting:
             block[:, rows] = 0.0
         for _, slopes in self._heard:

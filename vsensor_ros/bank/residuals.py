@@ -4,22 +4,29 @@ The observers of residuals, stepped for the isolation of faults, on the grid of 
 They read what every sensor says, whoever is believed: what is done about a fault changes nothing
 of how it is found. A time of the grid is looked at once, when all sensors that speak have spoken
 of it, so that no late reading changes it any more.
+
+What has read who was blamed starts anew when that is healthy again. It need not forget its start
+then: it goes on from the state of its tracker, which has forgotten its own much sooner.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+import math
 from types import MappingProxyType
 
 import numpy as np
 
 from vsensor_ros.bank.commands import End
+from vsensor_ros.bank.flights import stop
+from vsensor_ros.bank.state import State
 from vsensor_ros.bank.steps import Steps
 from vsensor_ros.observers import Design, FaultSize, Residual
 
 FIRST = 10_000_000_000  # ns that a sensor may take to speak for the first time
 LONGEST = 60.0  # s after which an observer has forgotten its start, if that is not known
+NEVER = np.iinfo(np.int64).min // 2  # a tick
 
 
 class Residuals(Steps):
@@ -33,6 +40,7 @@ class Residuals(Steps):
 
         design: the observers of the residuals, see `Design.isolating`.
         """
+        self._blamed: frozenset[str] = frozenset()
         super().__init__(design, rate, max_age, jump_ahead, command_ends)
         output = {(frozenset(fault_set), channel): i
                   for i, (fault_set, channel) in enumerate(self._batch.keys)}
@@ -49,21 +57,68 @@ class Residuals(Steps):
                 warm_up[of == t.own] = t.warm_up
         self._runs_of = self._rows[of]
         self._warm = np.ceil(np.minimum(warm_up, LONGEST) / (self.period * 1e-9))
+        names = (*self.sensors, *self.inputs)
+        # by run that starts from its tracker: that, the steps until each has forgotten its start,
+        # and whom the tracker reads. Its readings have to be in the support, too
+        self._trackers: dict[int, tuple[int, int, int, frozenset[str]]] = {}
+        for t in batch.tracked:
+            reads = frozenset(n for n, does in zip(names, batch.starts_on[t.tracker]) if does)
+            of_run = [r for r, run in zip(residuals, self._runs_of) if run == t.own]
+            if not t.temporary and math.isfinite(t.warm_up) and all(
+                    reads & set(self.sensors) <= set(r.support) for r in of_run
+                    if isinstance(r, Residual)):
+                self._trackers[t.own] = (
+                    t.tracker, math.ceil(t.warm_up / (self.period * 1e-9)),
+                    int(self._warm[self._runs_of == t.own].max(initial=0)), reads)
 
     def reset(self) -> None:
         """Forget all."""
         self._looked: int | None = None  # last tick that was looked at
         self._waiting: int | None = None  # since when somebody has spoken, but not all
-        # tick until which the observer of each residual may have read what was faulty
-        self._spoilt: np.ndarray | int = np.iinfo(np.int64).min // 2
         super().reset()
+        runs = len(self._batch.runs_on)
+        self._spoilt = np.full(runs, NEVER)  # tick until which each may have read what was faulty
+        self._put = np.full(runs, NEVER)  # tick at which each was put where its tracker was
+        self._anew: set[int] = set()  # runs that are to be
 
-    def forgive(self, names: Iterable[str]) -> None:
-        """Take these sensors for healthy again; what has read them has to forget that first."""
-        if self._looked is not None:
-            new = [name in names for name in (*self.sensors, *self.inputs)]
-            reads = self._batch.starts_on[self._runs_of][:, new].any(axis=1)
-            self._spoilt = np.where(reads, self._looked, self._spoilt)
+    @property
+    def warm_up(self) -> float:
+        """Return how long [s] it takes from the start until there is an estimate of each."""
+        return float(self._warm.max(initial=0.0)) * self.period * 1e-9
+
+    def blame(self, names: Collection[str]) -> None:
+        """Take these sensors, the complete set, for faulty; what has read others starts anew."""
+        gone, self._blamed = self._blamed.difference(names), frozenset(names)
+        if not gone or self._looked is None:
+            return
+        new = np.array([name in gone for name in (*self.sensors, *self.inputs)])
+        reads = np.array(self._batch.starts_on[:, new].any(axis=1))
+        for run, (_, _, warm, told) in self._trackers.items():
+            reads[run] |= self._looked - self._put[run] < warm and not gone.isdisjoint(told)
+        self._spoilt[reads] = self._looked
+        self._anew |= self._trackers.keys() & set(np.flatnonzero(reads).tolist())
+        stop(self._past, ~reads)
+        self._runs.reset()  # of these nobody serves
+        self._flights.reset()
+
+    def _placed(self, state: State) -> State:
+        """Put those where their trackers are that start anew, once these have forgotten theirs."""
+        state = super()._placed(state)
+        for run in sorted(self._anew):
+            tracker, warm, _, reads = self._trackers[run]
+            since = max(state.since[tracker], self._spoilt[tracker])
+            if state.running[run] and state.running[tracker] and state.tick - since >= warm \
+                    and reads.isdisjoint(self._blamed):
+                z = state.z.copy()
+                z[run], state = z[tracker], state._replace(z=z)
+                self._put[run] = state.tick
+                self._anew.remove(run)
+        return state
+
+    def _drop_after(self, tick: int) -> None:
+        super()._drop_after(tick)
+        self._anew |= set(np.flatnonzero(self._put > tick).tolist())
+        self._put[self._put > tick] = NEVER
 
     def until(self, now: int) -> int | None:
         """Return the time [ns] up to which all who speak have spoken; None: nobody does."""
@@ -97,8 +152,10 @@ class Residuals(Steps):
         for state in new:
             self._looked, time = state.tick, self._at(state.tick)
             said = self._batch.estimates(state.z[self._rows], state.told.y, state.told.held)
-            since = np.maximum(state.since[self._runs_of], self._spoilt)
-            warm = state.running[self._runs_of] & (state.tick - since >= self._warm)
+            since = np.maximum(state.since, self._spoilt)[self._runs_of]
+            put = self._put[self._runs_of]
+            warm = state.running[self._runs_of] & (
+                (state.tick - since >= self._warm) | (since <= put) & (put <= state.tick))
             yield time, self._readings(time), np.where(
                 self._there & warm, said[self._outputs], np.nan)
 

@@ -84,7 +84,7 @@ class Serving:
         i = self.tracked.get(output)
         if i is None or not self._past or self._runs.lost(i):
             return math.inf
-        return self._runs.waiting(i, self._past[-1], self.guards[i])
+        return self._runs.waiting(i, self._past[-1])
 
     def choose(self, deviations: Deviations) -> None:
         """Let the run with the smaller deviation serve."""

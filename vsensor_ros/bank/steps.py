@@ -72,7 +72,9 @@ class Steps:
         self._guards = guards_of(design.sensors, guard)
         turns = {name: abs(turn) for angle in design.wrap for name, turn in angle.items()}
         self._short_way = ShortWay([turns.get(name) for _, name in self._batch.keys])
-        self._runs = FreeRuns(self._batch, self.period * 1e-9, self._short_way)
+        self._of_tracked = [max(self._guards[self.sensors[c]] for c in t.channels) * 1e-9
+                            for t in self._batch.tracked]  # s
+        self._runs = FreeRuns(self._batch, self.period * 1e-9, self._of_tracked, self._short_way)
         # the states that are kept; of a silent sensor they are wanted from before its last reading
         self._kept = self._span
         if self._runs.tracked:
@@ -188,7 +190,9 @@ class Steps:
         self._told.distrust(names, now)
         if lost:
             stopped = np.asarray(self._batch.starts_on[:, gone].any(axis=1))
-            self._measured.forget(gone[:len(self.sensors)], stopped)
+            began = min([self._now or 0, *(onsets[name] for name in lost if name in onsets)])
+            self._measured.forget(gone[:len(self.sensors)], stopped,
+                                  (began - (self._origin or 0)) // self.period)
             stop(self._settled, ~stopped, ~gone)
             if self._past:
                 stop(self._past, stay, ~gone)

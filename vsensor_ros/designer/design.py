@@ -15,7 +15,9 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
+from vsensor_ros.designer.alternatives import beside_filter, beside_scheduled, quietest
 from vsensor_ros.designer.bounded import alternative, least_sensitive
+from vsensor_ros.designer.by_functions import by_functions
 from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify, on_declared_ranges
 from vsensor_ros.designer.exact import ExactVerdict, verdict
@@ -26,7 +28,7 @@ from vsensor_ros.designer.existence import (
     Existence,
     measured_signs,
 )
-from vsensor_ros.designer.extended import extended as filtered, of_angle
+from vsensor_ros.designer.extended import extended as filtered, is_possible, of_angle
 from vsensor_ros.designer.fault_size import sized
 from vsensor_ros.designer.isolate import isolated
 from vsensor_ros.designer.noise import usual_decay
@@ -44,7 +46,15 @@ from vsensor_ros.designer.tracking import tracked
 from vsensor_ros.designer.unfinished import name_of, Unfinished
 from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
-from vsensor_ros.observers import Design, Entry, Key, Refusal, ScheduledSensor, VirtualSensor
+from vsensor_ros.observers import (
+    Design,
+    Entry,
+    Key,
+    NonlinearSensor,
+    Refusal,
+    ScheduledSensor,
+    VirtualSensor,
+)
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -52,7 +62,7 @@ PREFERENCES = ('quiet', 'least')
 FASTEST = 1e12  # 1/s
 LARGEST = 1e100
 SLOWEST = 0.1  # times the usual decay: errors of scheduled ones die out no slower
-METHODS = ('jordan', 'identification', 'svd')
+METHODS = ('jordan', 'identification', 'svd', 'functions')
 
 
 class Choices(NamedTuple):
@@ -66,6 +76,11 @@ class Choices(NamedTuple):
     scheduled: bool
     extended: bool
     spread: float | None
+
+    @property
+    def follows(self) -> bool:
+        """Whether gains that follow the readings may be handed out."""
+        return self.scheduled and self.method is None
 
 
 def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
@@ -86,7 +101,8 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
     die out, by default as fast as noise allows. ``bounded``: where none can be decoupled from all
     unknown inputs, hand out the one that they disturb least, of grade 'bounded'. ``method``:
     'jordan' or 'identification' confines the search to the papers' canonical forms, 'svd' to the
-    latter and, if bounded, to the papers' method of singular values. ``temporary``: where a mode
+    latter and, if bounded, to the papers' method of singular values; 'functions' asks only for
+    nonlinear functions of the states. ``temporary``: where a mode
     stays that no healthy sensor sees, hand out one of grade 'temporary', which serves for a time
     after its channel was lost. ``scheduled``: where nothing is proved where it works, hand out one
     whose injection follows the readings, if that is proved over the declared ranges.
@@ -208,25 +224,37 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
     fault_set, channel = key
     with calmly():
         part = subsystem(plant, fault_set, channel, rows)
+        if choices.method == 'functions':
+            asked = by_functions(plant, fault_set, channel)
+            return Refusal(channel, fault_set, say(asked)) if isinstance(asked, Reason) else asked
         problem = pose(part.plant, part.lost, channel,
                        None if rows is None else rows[:, part.states])
         found = (_lost_already(lost, fault_set, problem) if lost is not None else _answer(
             problem, choices.prefer, choices.decay, choices.bounded, choices.method,
             choices.temporary))
+        entry = found if lost is not None else part.entry_of_whole(found)
+        sought = partial(_scheduled, plant, key, choices, problem)
         if _proved(problem.plant, found):
-            return found if lost is not None else part.entry_of_whole(found)
-        if choices.scheduled and choices.method is None:
-            over = _scheduled(plant, key, choices.decay or SLOWEST * usual_decay(problem))
-            if isinstance(over, ScheduledSensor):
-                return replace(over, why=_why(found))
-            if over is not None and lost is None:  # else that with fewer faults has said it
-                found = _not_scheduled(found, over)
+            assert isinstance(entry, VirtualSensor)
+            return quietest(plant, entry, sought) if choices.follows else entry
+        over = sought() if choices.follows else None
+        if isinstance(over, ScheduledSensor):
+            return replace(over, why=beside_scheduled(found, choices.extended and is_possible(
+                plant, fault_set, channel, choices.spread)))
+        if lost is not None:
+            over = None  # that with fewer faults has said it
+        function = None if choices.method or lost is not None else _function(plant, key, found)
+        if function is not None and function.grade != 'temporary':
+            return function
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
                 plant, fault_set, channel, choices.spread)
             if instead is not None:
-                return replace(instead, why=_why(found))
-        return found if lost is not None else part.entry_of_whole(found)
+                return replace(instead, why=beside_filter(
+                    found, over, choices.follows and lost is None))
+        if function is not None and choices.temporary and isinstance(found, Refusal):
+            return function
+        return entry if over is None else _not_scheduled(entry, over)
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -316,13 +344,30 @@ def chosen_sets(plant: Plant, fault_sets: Iterable[Iterable[str]] | None, up_to:
     return list(dict.fromkeys(checked))
 
 
-def _scheduled(plant: Plant, key: Key, rate: float) -> ScheduledSensor | Reason | None:
+def _scheduled(plant: Plant, key: Key, choices: Choices, problem: Problem,
+               ) -> ScheduledSensor | Reason | None:
     """Return one that follows the readings, or why there is none; None: not for such a plant."""
+    rate = choices.decay or SLOWEST * usual_decay(problem)
     try:
         over = over_the_ranges(plant, *key, rate)
     except ImportError as error:
         return Reason.of('scheduled not sought', missing=str(error))
     return Reason.of('not scheduled', why=say(over)) if isinstance(over, Reason) else over
+
+
+def _function(plant: Plant, key: Key,
+              found: VirtualSensor | Refusal) -> NonlinearSensor | None:
+    """Return a nonlinear function where no linear one is known to converge, if there is one."""
+    if not plant.terms and plant.unknown is None:
+        return None  # of a linear plant linear ones are all there are
+    function = by_functions(plant, *key)
+    if not isinstance(function, NonlinearSensor):
+        return None
+    if isinstance(found, Refusal):
+        return replace(function, why=say(Reason.of('filter, none', reason=found.reason)))
+    return replace(function, why=say(Reason.of(
+        'linear, for a time' if found.grade == 'temporary' else 'linear, unproved',
+        order=found.order)))
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:
@@ -337,19 +382,6 @@ def _proved(plant: Plant, entry: VirtualSensor | Refusal) -> bool:
     return isinstance(entry, VirtualSensor) and entry.grade != 'temporary' and (
         not entry.active or (entry.certificate is not None and on_declared_ranges(
             plant, entry, entry.certificate)))
-
-
-def _why(entry: VirtualSensor | Refusal) -> str:
-    """Say why a filter stands in place of an answer, and what that would be."""
-    if isinstance(entry, Refusal):
-        return say(Reason.of('filter, none', reason=entry.reason))
-    if entry.grade == 'temporary':
-        return say(Reason.of('filter, for a time', order=entry.order))
-    c = entry.certificate
-    if c is not None and c.status == 'region':
-        return say(Reason.of('filter, proved in part', order=entry.order, where=c.uncovered))
-    return say(Reason.of('filter, unproved', order=entry.order,
-                         reason='' if c is None else c.reason))
 
 
 def _lost_already(lost: Refusal, fault_set: tuple[str, ...], problem: Problem) -> Refusal:

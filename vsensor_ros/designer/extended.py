@@ -16,7 +16,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.immersion import immersed
 from vsensor_ros.designer.noise import INTERVAL
-from vsensor_ros.functions.expression import fold, parse, substitute, to_text
+from vsensor_ros.functions.expression import fold, Node, Number, parse, substitute, to_text
 from vsensor_ros.observers import ExtendedSensor, Model
 from vsensor_ros.observers.kinds.extended.filter import ANYWHERE, Filter
 from vsensor_ros.observers.kinds.extended.section import check_equation
@@ -35,11 +35,16 @@ def extended(plant: Plant, fault_set: tuple[str, ...], channel: str,
     spread: of parameters without one, as a share of what they are; None: these are exact. It needs
     spreads, all noise, equations without jumps, and readings free of unknown inputs.
     """
-    spreads = spreads_of(plant, spread)
-    if not spreads or not _is_told(plant, fault_set, channel) or \
-            not plant.C[plant.sensors.index(channel)].any():
+    if not is_possible(plant, fault_set, channel, spread):
         return None
-    return _entry(plant, fault_set, channel, model_of(plant, spreads))
+    return _entry(plant, fault_set, channel, model_of(plant, spreads_of(plant, spread)))
+
+
+def is_possible(plant: Plant, fault_set: tuple[str, ...], channel: str,
+                spread: float | None = None) -> bool:
+    """Tell whether a plant says all that such a filter asks for."""
+    return bool(spreads_of(plant, spread)) and _is_told(plant, fault_set, channel) and \
+        bool(plant.C[plant.sensors.index(channel)].any())
 
 
 def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,
@@ -61,13 +66,16 @@ def of_angle(plant: Plant, fault_set: tuple[str, ...], channel: str,
 
 def _is_told(plant: Plant, fault_set: tuple[str, ...], channel: str) -> bool:
     """Tell whether a plant tells all that a filter on its equations needs."""
-    names = (*plant.states, *plant.inputs, *plant.disturbances, *plant.parameters)
+    names = (*plant.states, *plant.inputs, *plant.unknown_inputs, *plant.parameters)
     if channel not in fault_set or not plant.equations or plant.Cd.any() or \
             not all(np.isfinite(noise).all() for noise in (
-                plant.noise, plant.process_noise, plant.disturbance_noise)) or \
+                plant.noise, plant.process_noise, plant.unknown_noise)) or \
             not plant.noise.all():
         return False
     try:
+        for defined, text in plant.definitions:
+            check_equation(text, names, plant.name, f'definitions.{defined}')
+            names = (*names, defined)
         for text in plant.equations:
             check_equation(text, names, plant.name, 'dynamics')
     except BadInput:  # a jump, or too long to be written
@@ -94,7 +102,7 @@ def _entry(plant: Plant, fault_set: tuple[str, ...], channel: str,
 
     def after(one: Filter, P: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         P, X = one.spread_step(*step, P, X)
-        return one.spread_correction(one.gain(P)[0], P, X)
+        return one.spread_correction(one.gain(P), P, X)
     follows, free, said = filter_.of(np.array([0])), filter_.of(np.array([1])), []
     for _ in range(TOLD):
         P, X = after(follows, P, X)
@@ -110,7 +118,7 @@ def _entry(plant: Plant, fault_set: tuple[str, ...], channel: str,
         deviations = np.minimum(deviations, ANYWHERE * np.abs(own).max())
     if not np.isfinite(deviations).all():
         return None
-    left = free.after(free.gain(P)[0])[0]
+    left = free.after(free.gain(P))[0]
     slowest = float(np.abs(np.linalg.eigvals(left @ step[0][0])).max())
     return ExtendedSensor(
         channel, fault_set, tuple(s for s, read in zip(plant.sensors, reads) if read), model,
@@ -140,11 +148,20 @@ def model_of(plant: Plant, spreads: Mapping[str, float]) -> Model:
     initial = np.where(known, (np.where(known, high, 0.0) + np.where(known, low, 0.0)) / 2,
                        plant.initial)
     exact = {name: v for name, v in plant.parameters.items() if name not in spreads}
-    equations = tuple(to_text(fold(substitute(parse(text), exact))) for text in plant.equations)
+    told: dict[str, Node | float] = {**exact}
+    definitions = []
+    for name, text in plant.definitions:
+        node = fold(substitute(parse(text), told))
+        if isinstance(node, Number):
+            told[name] = node
+        else:
+            definitions.append((name, to_text(node)))
+    equations = tuple(to_text(fold(substitute(parse(text), told))) for text in plant.equations)
     return Model(
-        plant.states, plant.inputs, equations, plant.disturbances, tuple(spreads),
+        plant.states, plant.inputs, equations, plant.unknown_inputs, tuple(spreads),
         np.array([plant.parameters[name] for name in spreads]),
         np.array(list(spreads.values())), plant.process_noise.copy(),
-        np.nan_to_num(plant.input_noise), plant.disturbance_noise.copy(), plant.C.copy(),
+        np.nan_to_num(plant.input_noise), plant.unknown_noise.copy(), plant.C.copy(),
         plant.Cu.copy(), plant.noise.copy(), np.nan_to_num(1.0 / plant.sensor_rate), initial,
-        np.where(known, start, np.where(size > 0.0, size, 1.0)), plant.sample_time)
+        np.where(known, start, np.where(size > 0.0, size, 1.0)), plant.sample_time,
+        definitions=tuple(definitions))

@@ -48,7 +48,8 @@ def immersed(model: Model, angle: str, healthy: Sequence[bool]) -> Model | None:
     at, taken = model.states.index(angle), (*model.states, *model.inputs, *model.unknown,
                                             *model.parameters)
     read, alone = np.array(healthy, dtype=bool), model.C[:, at] != 0.0
-    if not set(on_circle(angle)).isdisjoint(taken) or (read & alone).any() or \
+    if model.definitions or \
+            not set(on_circle(angle)).isdisjoint(taken) or (read & alone).any() or \
             np.delete(model.C[alone], at, axis=1).any() or model.Cu[alone].any():
         return None
     given = [parse(text) for text in model.equations]

@@ -26,7 +26,8 @@ def over_the_ranges(plant: Plant, fault_set: tuple[str, ...], channel: str,
     declare ranges and noise. Raises ImportError where the desk's solver is missing.
     """
     if channel not in fault_set or not plant.equations or plant.sample_time is not None or \
-            plant.Cd.any() or plant.Cu.any() or not np.isfinite(plant.noise).all():
+            plant.Cd.any() or plant.Cu.any() or plant.unknown is not None or \
+            not np.isfinite(plant.noise).all():
         return None
     C0 = plant.C[[name not in fault_set for name in plant.sensors]]
     told = np.abs(np.linalg.pinv(C0) @ C0 - np.eye(len(plant.states))).max(axis=1, initial=0.0)

@@ -215,16 +215,37 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'alternative': _alternative,
 
     'filter, none': lambda reason: f'other virtual sensors there are none: {reason}',
-    'filter, for a time': lambda order: (
-        f'the other one, of order {order}, serves for a time only; --no-extended hands it '
-        'out'),
-    'filter, proved in part': lambda order, where: (
+    'filter, for a time': lambda order, by: (
+        f'the other one, of order {order}, serves for a time only; {by} hands it out'),
+    'filter, proved in part': lambda order, where, by: (
         f'of the other one, of order {order}, nothing is proved '
         f'{where or "beyond a region about the operating point: give states a range"}; '
-        '--no-extended hands it out'),
-    'filter, unproved': lambda order, reason: (
+        f'{by} hands it out'),
+    'filter, unproved': lambda order, reason, by: (
         f'of the other one, of order {order}, nothing is proved'
-        f'{f" ({reason})" if reason else ""}; --no-extended hands it out'),
+        f'{f" ({reason})" if reason else ""}; {by} hands it out'),
+    'proved, quiet': lambda ratio: (
+        f'none was sought: gains that follow the readings could be no more than {ratio:.3g} times '
+        'quieter at the operating point, and of a Kalman filter on the equations nothing would '
+        'be proved'),
+    'proved, no noisier': lambda ours, theirs: (
+        'gains that follow the readings are proved over the declared ranges, too, but not clearly '
+        f'quieter: in simulation they are off by {theirs:.3g} (rms), this one by {ours:.3g}'),
+    'proved, decoupled': lambda: (
+        'gains that follow the readings are proved over the declared ranges, too, but unknown '
+        'inputs reach those otherwise'),
+    'proved, not simulated': lambda order: (
+        'gains that follow the readings are proved over the declared ranges, too, of order '
+        f'{order}; nobody knows which is quieter: simulation did not stay in the ranges'),
+    'scheduled, quieter': lambda order, ours, theirs: (
+        f'constant gains of order {order} are proved, too, but noisier: in simulation they are '
+        f'off by {theirs:.3g} (rms), this one by {ours:.3g}; --no-scheduled hands them out'),
+    'scheduled, not filtered': lambda: (
+        'a Kalman filter on the equations would go beyond the ranges, but nothing would be proved '
+        'of it: --no-scheduled hands it out'),
+    'scheduled, not for it': lambda: (
+        'gains that follow the readings are not for it: they ask for equations in continuous time '
+        'with few products, noise, and ranges of what is in these'),
 
     'not seen': _not_seen,
     'bias not seen': lambda sensor: (
@@ -236,6 +257,15 @@ SENTENCES: dict[str, Callable[..., str]] = {
     'bias taken for': _bias_taken_for,
     'not built': _not_built,
 
+    'functions not asked': lambda why: (
+        f'nonlinear functions of the states were not sought: {why}'),
+    'linear, for a time': lambda order: (
+        f'the linear one, of order {order}, serves for a time only'),
+    'linear, unproved': lambda order: (
+        f'of the linear one, of order {order}, nothing is proved all over the declared ranges'),
+    'no function': lambda why: why,
+    'function not tracked': lambda: 'a nonlinear function of the states would serve for a time, '
+    'but nothing tells where it starts',
     'not scheduled': lambda why: f'gains that follow the readings do no better: {why}',
     'scheduled not sought': lambda missing: (
         f'gains that follow the readings were not sought: {missing}'),

@@ -77,17 +77,11 @@ class OwnIsolator:
 
     def step(self, now: int) -> bool:
         """Judge what is complete by now; tell whether the verdict says something else."""
-        blamed = self.verdict.faulty
         for time, readings, estimates in self._residuals.at_least(self._batch, now):
             self.verdict = self._isolator.step(time, readings, estimates[:self._count])
             self.sizes.step(time, readings, estimates[self._count:])
-        self._forgive(blamed)
+        self._residuals.blame(self.verdict.faulty)
         return self._changed()
-
-    def _forgive(self, blamed: tuple[str, ...]) -> None:
-        """Let what has read who is blamed no more forget that: else it would alarm again."""
-        if blamed and (gone := set(blamed) - set(self.verdict.faulty)):
-            self._residuals.forgive(gone)
 
     def news(self) -> list[tuple[Reason, object]]:
         """Return what people should hear of the verdict, each with what it is about."""
@@ -111,7 +105,7 @@ class OwnIsolator:
         for name in names[:1] if model else blamed:
             self._isolator.clear(name)
         self.verdict = self._isolator.verdict
-        self._forgive(tuple(blamed))
+        self._residuals.blame(self.verdict.faulty)
         return self._changed() or bool(blamed)
 
     def _changed(self) -> bool:

@@ -36,6 +36,7 @@ DAY = 86400.0  # s
 SHORT = 16  # samples of the mean that is a deviation
 AGAIN = 0.5  # s between two looks at the shape of a fault
 LATELY = 10.0  # s for which spikes are told
+EARLY = 16  # samples of a window in which a fault may have begun that was there before it
 LARGEST = 1e75  # so that its square is a number; what is beyond is no reading
 GRID = 0.5  # of a period, by which a step may be off the grid
 
@@ -47,6 +48,7 @@ class _Known:
     fault: Fault
     recovery: Recovery
     looked: float = -np.inf  # s, at its shape
+    dated: bool = False  # its onset was seen
 
 
 class Isolator:
@@ -87,6 +89,8 @@ class Isolator:
         self._estimates = np.empty((self.watch.batch, len(residuals)))
         self._held = 0  # samples of the batch that is being gathered
         self._time: int | None = None
+        # by sensor, ns: since when it has been believed
+        self._believed = np.zeros(len(sensors), dtype=np.int64)
         self._set_back = 0  # ns by which the clock was, in all: what lasts goes on
         self._spikes = [(0, -np.inf)] * len(sensors)  # count, and when [s] it grew
         self._spiking = [False] * len(sensors)
@@ -104,10 +108,12 @@ class Isolator:
         """
         if not confirmed or self.settings.mode == 'off':
             return self._verdict
-        if self._time is not None and abs(time - self._time - 1e9 * self.period) \
+        if self._time is None:
+            self._believed[:] = time
+        elif abs(time - self._time - 1e9 * self.period) \
                 > GRID * 1e9 * self.period:
             self._set_back += max(0, self._time - time)
-            self._start_anew()
+            self._start_anew(time)
         self._time = time
         self._readings[self._held], self._estimates[self._held] = readings, estimates
         self._held += 1
@@ -140,9 +146,10 @@ class Isolator:
                 self._forgive(j, self._time)
             self._say(self._time)
 
-    def _start_anew(self) -> None:
+    def _start_anew(self, time: int) -> None:
         """Forget the samples, not what was learnt: time has jumped."""
         self._held = 0
+        self._believed[:] = time
         self.watch.restart()
 
     def _judge(self, time: int) -> None:
@@ -208,11 +215,14 @@ class Isolator:
             past = self.watch.detector.past(best, 5 * WINDOWS[-1]) if best >= 0 else np.empty(0)
             if len(past) >= FEWEST:
                 shape = shape_of(past - self.watch.centre(best))
-                if shape.samples < len(past):
+                if len(past) - shape.samples > EARLY:
+                    known.dated = True
                     fault = replace(fault, kind=shape.kind, size=shape.size,
                                     onset=self._ago(time, shape.samples))
                 else:  # it began before what is remembered
                     fault = replace(fault, size=self._deviation(j))
+                    if not known.dated:  # perhaps before its observer did
+                        fault = replace(fault, kind=shape.kind, onset=int(self._believed[j]))
         known.fault = fault
 
     def _lasting(self, time: int) -> float:
@@ -239,6 +249,7 @@ class Isolator:
         gone = self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
         self.watch.detector.restart(np.array(gone, dtype=np.int64))
         self._known.pop(j, None)
+        self._believed[j] = time
 
     def _admit(self, checks: NDArray[np.int64]) -> None:
         """Learn from alarms for which no sensor was to blame, and which are over."""

@@ -36,17 +36,20 @@ from vsensor_ros.observers.kinds.functional.tracking import (
     horizon,
     Tracking,
 )
+from vsensor_ros.observers.kinds.nonlinear import Condition, NONLINEAR, NonlinearSensor
 from vsensor_ros.observers.kinds.takagi_sugeno import ScheduledSensor, TAKAGI_SUGENO
 from vsensor_ros.observers.knowledge import Certificate, Limit, Noise, OrderStep, Proof, Rung
 
 register(FUNCTIONAL)
 register(EXTENDED)
 register(TAKAGI_SUGENO)
+register(NONLINEAR)
 register(FAULT_ESTIMATOR)
 
 __all__ = ['FAULT', 'NONE', 'STRENGTHS', 'STRONG', 'WEAK', 'Batch', 'Bent', 'Certificate',
-           'Design', 'Distinction', 'Entry', 'ExtendedSensor', 'FaultObserver', 'FaultSize',
-           'FaultSizes', 'Injection', 'Isolability', 'Key', 'Kind', 'Limit', 'Model', 'Noise',
-           'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung', 'ScheduledSensor', 'StepOfSome',
-           'Told', 'Tracked', 'Tracking', 'Tried', 'VirtualSensor', 'deviation_after', 'horizon',
-           'kind_named', 'kind_names', 'register', 'settling_time']
+           'Condition', 'Design', 'Distinction', 'Entry', 'ExtendedSensor', 'FaultObserver',
+           'FaultSize', 'FaultSizes', 'Injection', 'Isolability', 'Key', 'Kind', 'Limit', 'Model',
+           'Noise', 'NonlinearSensor', 'OrderStep', 'Proof', 'Refusal', 'Residual', 'Rung',
+           'ScheduledSensor', 'StepOfSome', 'Told', 'Tracked', 'Tracking', 'Tried',
+           'VirtualSensor', 'deviation_after', 'horizon', 'kind_named', 'kind_names', 'register',
+           'settling_time']

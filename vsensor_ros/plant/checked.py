@@ -172,9 +172,13 @@ def checked_spreads(given: Mapping[str, float], parameters: Mapping[str, float],
     return dict(zip(given, sizes.tolist()))
 
 
-def checked_equations(given: Sequence[str], names: Sequence[str], n: int,
+def checked_equations(given: Sequence[str], names: Sequence[str],
+                      definitions: Sequence[tuple[str, str]], n: int,
                       where: object) -> tuple[str, ...]:
-    """Return the right-hand sides as texts over these names: n, or none."""
+    """Return the right-hand sides as texts over these names and definitions: n, or none."""
+    for name, text in definitions:
+        parse(text, where, f'definitions.{name}', known=names)
+        names = (*names, name)
     texts = tuple(as_list(given, where, 'equations'))
     if len(texts) not in (0, n):
         raise BadInput(where, 'equations', f'are {len(texts)}', f'give {n}, one a state')

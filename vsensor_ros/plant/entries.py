@@ -25,6 +25,7 @@ from vsensor_ros.functions.expression import (
     parse,
     substitute,
     table_node,
+    to_text,
 )
 from vsensor_ros.plant.checked import suggestion
 from vsensor_ros.plant.plant_yaml import read_yaml
@@ -59,6 +60,8 @@ class Entries:
         self.definitions: dict[str, Node] = {}  # without names of others
         self.written: dict[str, Node] = {}  # those whose names give way to what they are
         self.loose: dict[str, Node] = {}  # all, with names for parameters
+        self.kept: dict[str, Node] = {}  # all, as they were read
+        self.large: set[str] = set()  # those that are too large to be written out
         self.extents: dict[str, tuple[int, int]] = {}  # of definitions: parts, and how deep
         self.units_of: Units | None = None  # None: not checked
 
@@ -110,13 +113,16 @@ class Entries:
 
     def by_name(self, value: Any, key: str, variables: Iterable[str]) -> Node:
         """Read an expression in which definitions that are nonlinear addends keep their names."""
-        node = parse(value, self.path, key, (*variables, *self.parameters, *self.definitions),
+        node = parse(value, self.path, key, (*variables, *self.parameters, *self.kept),
                      self.tables)
         self.extent(node, key)
         return fold(substitute(substitute(node, self.parameters), self.written), self.path, key)
 
     def extent(self, node: Node, key: str) -> tuple[int, int]:
         """Return parts and depth of a node with its definitions written out, if not too many."""
+        if isinstance(node, Name) and node.id in self.large:
+            raise self.fail(key, f'{node.id} is too large with its definitions written out',
+                            'only dynamics may use it, and not with matrices')
         if isinstance(node, Name):
             return self.extents.get(node.id, (1, 1))
         parts = [self.extent(part, key) for part in node.arguments] \
@@ -128,14 +134,39 @@ class Entries:
                             'write it with fewer of them')
         return size, depth
 
+    def is_large(self, value: Any, key: str, variables: Iterable[str]) -> bool:
+        """Tell whether an expression over these is too large with its definitions written out."""
+        node = parse(value, self.path, key, (*variables, *self.parameters, *self.kept),
+                     self.tables)
+        if not self.large.isdisjoint(names(node)):
+            return True
+        try:
+            self.extent(node, key)
+        except BadInput:
+            return True
+        return False
+
+    def kept_texts(self, used: Iterable[str], named: Iterable[str]) -> list[tuple[str, str]]:
+        """Return the definitions that these names need, as texts with these parameters by name."""
+        wanted, found = set(used), []
+        numbers = {name: v for name, v in self.parameters.items() if name not in set(named)}
+        for name, node in reversed(self.kept.items()):
+            if name in wanted:
+                wanted.update(names(node))
+                found.append((name, to_text(fold(substitute(node, numbers), self.path,
+                                                 f'definitions.{name}'))))
+        return found[::-1]
+
     def raw(self, value: Any) -> Node:
         """Return an expression that was read already with all its names."""
         return parse(value, self.path, tables=self.tables)
 
-    def with_names(self, value: Any, key: str, parameters: Iterable[str]) -> Node:
-        """Return an expression that was read before, in which some parameters keep their names."""
+    def with_names(self, value: Any, key: str, parameters: Iterable[str],
+                   written_out: bool) -> Node:
+        """Return an expression that was read before; some parameters, or all names, are kept."""
         numbers = {name: v for name, v in self.parameters.items() if name not in parameters}
-        return fold(substitute(substitute(self.raw(value), self.loose), numbers), self.path, key)
+        node = substitute(self.raw(value), self.loose if written_out else {})
+        return fold(substitute(node, numbers), self.path, key)
 
     def spreads(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """Read the standard deviations of parameters that are not known exactly."""
@@ -151,6 +182,28 @@ class Entries:
             if not found[name] > 0.0:
                 raise self.fail(key, f'{found[name]:g} is not positive',
                                 'give a standard deviation, or leave it out')
+        return found
+
+    def fits(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+        """Read between what a parameter is looked for by the command fit: (low, high)."""
+        found = {}
+        for name, entry in parameters.items():
+            if 'fit' not in entry:
+                continue
+            key, ends = f'parameters.{name}.fit', entry['fit']
+            if name in self.arrays:
+                raise self.fail(key, 'stands beside an array',
+                                'give its numbers names of their own')
+            if not isinstance(ends, list) or len(ends) != 2:
+                raise self.fail(key, f'{shown(ends)} is not two numbers', 'write [low, high]')
+            low, high = (self.number(end, key) for end in ends)
+            value = self.parameters[name]
+            if not low < high:
+                raise self.fail(key, f'{low:g} is not below {high:g}', 'write [low, high]')
+            if not self.factors and not low <= value <= high:
+                raise self.fail(key, f'the value {value:g} is not between {low:g} and {high:g}',
+                                'widen it, or begin with another value')
+            found[name] = low, high
         return found
 
     def read_units(self, *sections: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -201,9 +254,14 @@ class Entries:
             place = f'definitions.{name}'
             text = self.required(entry, 'value', place, 'write what it is')
             for used in names(parse(text, self.path, place, tables=self.tables)):
-                if used in section and used not in self.definitions:
+                if used in section and used not in self.kept:
                     raise self.fail(place, f'{used} is not known yet', 'a definition may use '
                                     'earlier ones only: bring them into order, without a circle')
+            self.kept[name] = self.tabled(self.raw(text), entry, place)
+            if self.is_large(text, place, variables) or \
+                    sum(size for size, _ in self.extents.values()) > _MOST_IN_ALL:
+                self.large.add(name)
+                continue
             node = self.tabled(self.by_name(text, place, variables), entry, place)
             self.loose[name] = self.tabled(substitute(self.raw(text), self.loose), entry, place)
             whole = fold(substitute(node, self.definitions), self.path, place)
@@ -216,8 +274,6 @@ class Entries:
                 self.written[name] = node
             self.definitions[name] = whole
             self.extents[name] = self.extent(whole, place)
-            if sum(size for size, _ in self.extents.values()) > _MOST_IN_ALL:
-                raise self.fail('definitions', 'are too large, written out', 'leave some out')
 
     def tabled(self, node: Node, entry: Mapping[str, Any], place: str) -> Node:
         """Return the lookup table of a node, where there is one; else itself."""

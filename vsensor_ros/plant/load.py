@@ -2,7 +2,7 @@
 Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
-(value, unit, spread), tables (points, interpolation), definitions (value, unit, table,
+(value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
 interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
 delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
 tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
@@ -27,6 +27,10 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
+    MAX_CHARACTERS,
+    Name,
+    names,
+    Node,
     Number,
     parse,
     substitute,
@@ -36,21 +40,24 @@ from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.checked import check_distinct
 from vsensor_ros.plant.dead_time import with_registers
 from vsensor_ros.plant.entries import Entries, TABLE
-from vsensor_ros.plant.measurement import measurement
+from vsensor_ros.plant.measurement import Measured, measurement
 from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
 from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.plant.split import (
+    addends,
     check_split,
+    lifted,
     Split,
     split_equations,
     with_addends,
 )
 from vsensor_ros.plant.units import check_rates, converted
+from vsensor_ros.plant.unknown_inputs import directions, unknown_inputs
 
-_TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
-        'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
-        'operating_point')
+TOP = ('name', 'description', 'time', 'time_unit', 'parameters', 'tables', 'definitions',
+       'states', 'inputs', 'disturbances', 'dynamics', 'matrices', 'nonlinearities', 'sensors',
+       'operating_point')
 
 
 def load_plant(path: str | Path) -> Plant:
@@ -66,8 +73,8 @@ def load_plant(path: str | Path) -> Plant:
         raise BadInput(path, 'submodels', 'are for what estimates faults, or by hand',
                        'give dynamics or matrices; or ask with designer --faulty NAMES, or read '
                        'it with load_takagi_sugeno')
-    file = Entries(path, _TOP, content)
-    return replace(_plant(file), remake=_Again(path, file.content))
+    file = Entries(path, TOP, content)
+    return replace(read_plant(file), remake=_Again(path, file.content))
 
 
 @dataclass(frozen=True)
@@ -78,10 +85,11 @@ class _Again:
     content: dict[str, Any]
 
     def __call__(self, factors: Mapping[str, float]) -> Plant:
-        return replace(_plant(Entries(self.path, _TOP, self.content, factors)), remake=self)
+        return replace(read_plant(Entries(self.path, TOP, self.content, factors)), remake=self)
 
 
-def _plant(file: Entries) -> Plant:
+def read_plant(file: Entries) -> Plant:
+    """Return the plant of a file, and leave in `file` what its names stand for."""
     name = file.content.get('name')
     if name is None:
         raise file.fail('name', 'is missing', 'write name: my_plant')
@@ -89,7 +97,7 @@ def _plant(file: Entries) -> Plant:
         raise file.fail('description', 'is not a text', 'put it in quotes')
     sample_time = file.sample_time()
     unit = file.time_unit(sample_time)
-    parameters = file.section('parameters', ('value', 'unit', 'spread'), 'value')
+    parameters = file.section('parameters', ('value', 'unit', 'spread', 'fit'), 'value')
     states = file.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow'))
     inputs = file.section('inputs', ('unit', 'operating', 'range', 'delay', 'process_noise'))
     disturbances = file.section('disturbances', ('unit', 'range', 'process_noise'))
@@ -109,6 +117,12 @@ def _plant(file: Entries) -> Plant:
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
         'definitions', ('value', 'unit', *TABLE), 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
+    unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances))
+    disturbances |= {rate: {'process_noise': 0.0} for rate in unwritten.values()}
+    if unwritten:
+        said.append(f'the equations of {", ".join(unwritten)} are too large to be written out: '
+                    'what is proved takes them for unknown inputs, '
+                    f'{", ".join(unwritten.values())}; filters on the equations know them')
     initial = np.array([file.number(e.get('initial', 0.0), f'states.{s}.initial')
                         for s, e in states.items()])
     u = np.array([file.number(e.get('operating', 0.0), f'inputs.{i}.operating')
@@ -122,36 +136,56 @@ def _plant(file: Entries) -> Plant:
 
     slow = tuple(s for s, e in states.items() if file.truth(e, 'slow', f'states.{s}'))
     split, measured = _right_hand_side(file, tuple(states), tuple(inputs),
-                                           tuple(disturbances), point, u, slow)
+                                           tuple(disturbances), point, u, slow, unwritten)
     ranges = [file.ranges(key, entries) for key, entries in (
         ('states', states), ('inputs', inputs), ('disturbances', disturbances))]
     groups = tuple(states), tuple(inputs), tuple(disturbances)
     curves: dict[str, Curve] = {}
+    bent: Sequence[Sequence[Node]] = [()] * len(sensors)
     split, noisy = split.slower(unit), math.sqrt(unit)
     if measured is None:
-        rows = []
-        for sensor, entry in sensors.items():
-            row, curve = _measurement(file,
-                sensor, entry, groups, np.vstack(ranges),
-                np.concatenate([point, u, np.zeros(len(disturbances))]))
-            rows.append(row)
-            if curve is not None:
-                curves[sensor] = curve
-        measured = np.array(rows)
+        shown_by = {sensor: _measurement(
+            file, sensor, entry, groups, np.vstack(ranges),
+            np.concatenate([point, u, np.zeros(len(disturbances))]))
+            for sensor, entry in sensors.items()}
+        measured = np.array([found.row for found in shown_by.values()])
+        curves = {sensor: found.curve for sensor, found in shown_by.items() if found.curve}
+        bent = [found.rest for found in shown_by.values()]
+        said = [*said, *(f'{sensor} is nonlinear, and no linear map uses it: {found.why}'
+                         for sensor, found in shown_by.items() if found.rest)]
     else:
         for sensor, entry in sensors.items():
             if 'measures' in entry:
                 raise file.fail(f'sensors.{sensor}.measures', 'stands beside matrices.C',
                                 'give one of the two')
     spreads = file.spreads(parameters)
+    equations, definitions = _equations(file, tuple(states), spreads, unit)
+    file.fits(parameters)
     late = {s: file.time(e, 'delay', f'sensors.{s}', sample_time)
             for s, e in sensors.items()}
     C, Cu, Cd = np.split(measured, [len(states), len(states) + len(inputs)], axis=1)
+    D, pushing, unknown = split.D, disturbances, None
+    units = _units(file, states, inputs, disturbances, sensors, measured)
+    disturbance_noise = [file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
+                         for r, e in disturbances.items()]
+    if any((*split.rest, *bent)):
+        found = directions(D, Cd, (*(split.rest or [()] * len(states)), *bent), groups[0],
+                           tuple(sensors), groups[2], dict(zip(
+                               (*states, *inputs, *disturbances), np.vstack(ranges).tolist())))
+        unknown = unknown_inputs(found, groups[2], ranges[2], disturbance_noise, file.path)
+        D, Cd, said = found.D, found.Cd, [*said, *found.said]
+        pushing = {name: disturbances.get(name, {}) for name in found.names}
+        units = {name: unit for name, unit in units.items()
+                 if name not in disturbances or name in pushing}
+        known = [groups[2].index(name) if name in groups[2] else -1 for name in pushing]
+        ranges[2] = np.vstack([ranges[2], [-np.inf, np.inf]])[known]
+        disturbance_noise = [*disturbance_noise, np.nan]
+        disturbance_noise = [disturbance_noise[i] for i in known]
     plant = Plant.from_matrices(
-        split.A, split.B, C, D=split.D, sample_time=sample_time, P=split.P, G=split.G,
+        split.A, split.B, C, D=D, sample_time=sample_time, P=split.P, G=split.G,
         nonlinearities=split.terms, states=tuple(states), inputs=tuple(inputs),
-        sensors=tuple(sensors), disturbances=tuple(disturbances),
-        units=_units(file, states, inputs, disturbances, sensors, measured), initial=initial,
+        sensors=tuple(sensors), disturbances=tuple(pushing), unknown=unknown, units=units,
+        initial=initial,
         noise=[file.deviation(e, 'noise', f'sensors.{s}') for s, e in sensors.items()],
         parameters=file.parameters, operating_point=point, operating_input=u, Cu=Cu, Cd=Cd,
         process_noise=[file.deviation(e, 'process_noise', f'states.{s}') / noisy
@@ -168,10 +202,9 @@ def _plant(file: Entries) -> Plant:
         sensor_rate=[file.rate(e, f'sensors.{s}.rate') for s, e in sensors.items()],
         input_noise=[file.deviation(e, 'process_noise', f'inputs.{i}') * noisy
                      for i, e in inputs.items()],
-        disturbance_noise=[file.deviation(e, 'process_noise', f'disturbances.{r}') * noisy
-                           for r, e in disturbances.items()],
-        spreads=spreads, equations=_equations(file, tuple(states), spreads, unit),
-        remarks=said,
+        disturbance_noise=disturbance_noise,
+        spreads=spreads, equations=equations, definitions=definitions,
+        unwritten=tuple(unwritten.values()), remarks=said,
         name=name, where=file.path)
     return plant if sample_time is None else with_registers(
         plant, {s: round(delay / sample_time) for s, delay in late.items() if delay},
@@ -180,22 +213,27 @@ def _plant(file: Entries) -> Plant:
 
 def _measurement(file: Entries, sensor: str, entry: Mapping[str, Any],
                 groups: Sequence[Sequence[str]], ranges: np.ndarray,
-                point: np.ndarray) -> tuple[np.ndarray, Curve | None]:
+                point: np.ndarray) -> Measured:
     """Read what a sensor measures, see `measurement`."""
     place = f'sensors.{sensor}.measures'
     text = file.required(entry, 'measures', f'sensors.{sensor}',
                          'say which state it measures')
-    node = file.expression(text, place, [name for names in groups for name in names])
+    node = in_its_unit(file, file.expression(
+        text, place, [name for names in groups for name in names]), sensor, entry)
+    found = measurement(node, text, groups, ranges, point, file.path, place)
+    if 'wrap' in entry and (found.rest or (found.curve is not None and found.curve.text)):
+        raise file.fail(place, 'is a curve, and wraps', 'leave out one of them')
+    return found
+
+
+def in_its_unit(file: Entries, node: Node, sensor: str, entry: Mapping[str, Any]) -> Node:
+    """Return what a sensor shows: what it measures in its own unit, by its table."""
     if file.units_of is not None and 'table' not in entry:
-        factor, offset = converted(file.units_of, file.raw(text), entry.get('unit', ''),
-                                   sensor)
+        factor, offset = converted(file.units_of, file.raw(entry['measures']),
+                                   entry.get('unit', ''), sensor)
         node = node if factor == 1.0 else Apply('*', (Number(factor), node))
         node = fold(Apply('+', (node, Number(offset)))) if offset else node
-    node = file.tabled(node, entry, f'sensors.{sensor}')
-    row, curve = measurement(node, text, groups, ranges, point, file.path, place)
-    if curve is not None and curve.text and 'wrap' in entry:
-        raise file.fail(place, 'is a curve, and wraps', 'leave out one of them')
-    return row, curve
+    return file.tabled(node, entry, f'sensors.{sensor}')
 
 
 def _units(file: Entries, states: Mapping[str, Mapping[str, Any]],
@@ -219,7 +257,8 @@ def _units(file: Entries, states: Mapping[str, Mapping[str, Any]],
 
 def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],
                     disturbances: tuple[str, ...], point: np.ndarray, u: np.ndarray,
-                    slow: tuple[str, ...]) -> tuple[Split, np.ndarray | None]:
+                    slow: tuple[str, ...], unwritten: Mapping[str, str],
+                    ) -> tuple[Split, np.ndarray | None]:
     by_equations = 'dynamics' in file.content
     if by_equations == ('matrices' in file.content):
         raise file.fail('dynamics', 'and matrices are both there' if by_equations
@@ -241,7 +280,8 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
             raise file.fail(f'dynamics.{state}', 'is missing',
                             'write one equation a state')
     variables = (*states, *inputs, *disturbances)
-    equations = [file.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
+    equations = [Name(unwritten[s]) if s in unwritten else
+                 file.by_name(texts[s], f'dynamics.{s}', variables) for s in states]
     if file.units_of is not None:
         unit = file.content.get('time_unit', 's') if continuous else None
         check_rates(file.units_of, {s: file.raw(texts[s]) for s in states}, unit,
@@ -254,26 +294,58 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
     return split, None
 
 
+def _too_large(file: Entries, states: Sequence[str], inputs: Sequence[str],
+               disturbances: Sequence[str]) -> dict[str, str]:
+    """Return by state whose equation is too large to be written out what stands for its rate."""
+    variables, texts = (*states, *inputs, *disturbances), file.content.get('dynamics')
+
+    def is_too_large(text: Any, key: str) -> bool:
+        if file.is_large(text, key, variables):
+            return True
+        node = file.by_name(text, key, variables)
+        whole = to_text(substitute(node, file.definitions))
+        return len(whole) > MAX_CHARACTERS and not all(
+            _can_be_read(to_text(lifted(core, states, inputs, [], file.definitions)))
+            for _, core in addends(node, file.path, key, file.definitions)[1])
+    return {state: f'{state}_rate' for state, text in texts.items()
+            if state in states and text is not None and is_too_large(
+                text, f'dynamics.{state}')} if isinstance(texts, dict) else {}
+
+
+def _can_be_read(text: str) -> bool:
+    try:
+        parse(text)
+    except BadInput:
+        return False
+    return True
+
+
 def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, float],
-               unit: float) -> list[str]:
-    """Return the right-hand sides per second with parameters by name; [] if not by equations."""
+               unit: float) -> tuple[list[str], list[tuple[str, str]]]:
+    """
+    Return the right-hand sides per second with parameters by name; [] if not by equations.
+
+    And the definitions that they use, where they are too long with these written out.
+    """
     if 'dynamics' not in file.content:
         if spreads:
             raise file.fail('parameters', f'{next(iter(spreads))} has a spread, which only '
                             'equations can use', 'give one equation a state under dynamics')
-        return []
+        return [], []
     texts = {**{s: '0' if file.content['time'] == 'continuous' else s for s in states},
              **file.content['dynamics']}
     named = [name for name in file.parameters if '[' not in name]
-    found = []
-    for state in states:
-        node = file.with_names(texts[state], f'dynamics.{state}', named)
-        found.append(to_text(node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))))
-        try:
-            parse(found[-1])
-        except BadInput:  # too long with its definitions written out
-            return []
-    return found
+
+    def right_hand_side(state: str, written_out: bool) -> Node:
+        node = file.with_names(texts[state], f'dynamics.{state}', named, written_out)
+        return node if unit == 1.0 else fold(Apply('/', (node, Number(unit))))
+    if not file.large:
+        found = [to_text(right_hand_side(state, True)) for state in states]
+        if all(map(_can_be_read, found)):
+            return found, []
+    nodes = [right_hand_side(state, False) for state in states]
+    return list(map(to_text, nodes)), file.kept_texts(
+        {name for node in nodes for name in names(node)}, named)
 
 
 def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import hashlib
 import re
 from typing import Any
@@ -12,7 +13,8 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, check_text, shown
 from vsensor_ros.functions.curve import Curve
-from vsensor_ros.functions.expression import Apply, Node, parse, substitute
+from vsensor_ros.functions.equations import Equations
+from vsensor_ros.functions.expression import Apply, fold, Node, parse, substitute
 from vsensor_ros.functions.nonlinearity import evaluate, NonlinearTerm
 from vsensor_ros.plant.checked import (
     as_list,
@@ -37,6 +39,7 @@ from vsensor_ros.plant.checked import (
     suggestion,
 )
 from vsensor_ros.plant.plain_name import affine_node
+from vsensor_ros.plant.unknown_inputs import UnknownInputs
 
 _ARGUMENT = re.compile(r'w[0-9]+')
 
@@ -94,6 +97,13 @@ class Plant:
     remarks: tuple[str, ...]            # what is to be told of how the file was read
     # makes it anew, of parameters that are so many times as large; None: not known how
     remake: Callable[[Mapping[str, float]], Plant] | None = None
+    # names and texts that equations use, of which a later one may use earlier ones; () where
+    # equations are written out
+    definitions: tuple[tuple[str, str], ...] = ()
+    # unknown inputs that stand for rates of states whose equations are too large to be terms
+    unwritten: tuple[str, ...] = ()
+    # of what the columns of D and Cd are made where that is nonlinear; None: of `disturbances`
+    unknown: UnknownInputs | None = None
 
     @classmethod
     def from_matrices(cls, A: Any, B: Any, C: Any, *fourth: Any, D: Any = None,
@@ -114,9 +124,11 @@ class Plant:
                       input_noise: Any = None, disturbance_noise: Any = None,
                       spreads: Mapping[str, float] | None = None,
                       equations: Sequence[str] = (),
+                      definitions: Sequence[tuple[str, str]] = (),
+                      unwritten: Sequence[str] = (),
                       remarks: Sequence[str] = (),
                       remake: Callable[[Mapping[str, float]], Plant] | None = None,
-                      name: str = 'plant',
+                      unknown: UnknownInputs | None = None, name: str = 'plant',
                       where: object = 'Plant.from_matrices') -> Plant:
         """
         Make a plant of arrays; all after C by keyword.
@@ -135,8 +147,10 @@ class Plant:
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
         input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
         of parameters that are not known exactly; equations: the same as the arrays in n texts over
-        states, inputs, disturbances and parameters. remake: makes the plant anew from factors of
-        its parameters, by name. where: what error lines call the source. Raises BadInput.
+        states, inputs, disturbances, parameters and definitions, which are names and texts in
+        order; unwritten: names of unknown inputs that are what these say. remake: makes the plant
+        anew from factors of its parameters, by name. unknown: what the columns of D and Cd are
+        made of, where that is nonlinear. where: what error lines call the source. Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
@@ -164,6 +178,7 @@ class Plant:
         input_names = checked_names(inputs, 'u', b.shape[1], where, 'inputs')
         sensor_names = checked_names(sensors, 'y', len(c), where, 'sensors')
         disturbance_names = checked_names(disturbances, 'rho', d.shape[1], where, 'disturbances')
+        given = disturbance_names if unknown is None else unknown.names
         check_distinct(where, {'states': state_names, 'inputs': input_names,
                                'disturbances': disturbance_names,
                                'parameters': tuple(parameters)})
@@ -211,26 +226,59 @@ class Plant:
             disturbance_noise=checked_noise(disturbance_noise, d.shape[1], where,
                                             'disturbance_noise'),
             spreads=checked_spreads(spreads or {}, parameters, where),
-            equations=checked_equations(equations, (*state_names, *input_names, *disturbance_names,
-                                                    *parameters), n, where),
+            equations=checked_equations(equations, (*state_names, *input_names, *given,
+                                                    *parameters), definitions, n, where),
+            definitions=tuple(definitions), unwritten=tuple(unwritten),
             remarks=tuple(check_text(text, where, 'remarks')
                           for text in as_list(remarks, where, 'remarks')),
-            remake=remake)
+            remake=remake, unknown=unknown)
+
+    @property
+    def unknown_inputs(self) -> tuple[str, ...]:
+        """Names of the unknown inputs as they were given; what each comes to: `acting`."""
+        return self.disturbances if self.unknown is None else self.unknown.names
+
+    @property
+    def unknown_noise(self) -> np.ndarray:
+        """Intensity of the white noise that `unknown_inputs` are, NaN where unknown."""
+        return self.disturbance_noise if self.unknown is None else np.array(self.unknown.noise)
+
+    def acting(self, x: np.ndarray, u: np.ndarray, rho: np.ndarray) -> np.ndarray:
+        """Return what the columns of D and Cd are multiplied by, of rho as they were given."""
+        if self.unknown is None:
+            return rho
+        at = [np.broadcast_to(_beside(v, x), (len(v), *np.shape(x)[1:])) for v in (x, u, rho)]
+        return self.unknown.acting(np.concatenate(at), (*self.states, *self.inputs))
 
     def rate_of_change(self, x: Any, u: Any, rho: Any = None) -> np.ndarray:
         """
         Return the right-hand side (n,): the derivative, or the next state when discrete.
 
-        x (n,), u (m,), rho (d,), zero when None; for N points at once x (n, N), and u and
-        rho for all of them or (m, N), (d, N).
+        x (n,), u (m,), rho (d,) of `unknown_inputs`, zero when None; for N points at once
+        x (n, N), and u and rho for all of them or (m, N), (d, N).
         """
         x = np.asarray(x, dtype=float)
         u = _beside(np.zeros(0) if u is None else u, x)
+        if self.unwritten:
+            return self._by_equations(x, u, np.zeros(len(self.unknown_inputs)) if rho is None
+                                      else rho)
         total = self.A @ x + self.B @ u
         for term, g, column in zip(self.terms, self.G, self.P.T):
             psi = np.broadcast_to(evaluate(term, g @ x, self.inputs, u), x.shape[1:])
             total = total + np.multiply.outer(column, psi)
-        return total if rho is None else total + self.D @ _beside(rho, x)
+        if rho is None:
+            if self.unknown is None:
+                return total
+            rho = np.zeros(len(self.unknown.names))
+        return total + self.D @ self.acting(x, u, _beside(rho, x))
+
+    def _by_equations(self, x: np.ndarray, u: np.ndarray, rho: Any) -> np.ndarray:
+        """Return the right-hand side, of which not all is known as terms."""
+        given = (*self.states, *self.inputs, *self.unknown_inputs, *self.parameters)
+        values = np.concatenate([values.reshape(len(values), -1) + np.zeros(
+            (1, x[0].size)) for values in (x, u, _beside(rho, x), _beside(list(
+                self.parameters.values()), x))])
+        return _equations(self.equations, self.definitions, given).values(values).reshape(x.shape)
 
     def part(self, states: Sequence[int], sensors: Sequence[int], disturbances: Sequence[int],
              terms: Sequence[int]) -> Plant:
@@ -253,7 +301,8 @@ class Plant:
             wrap=self.wrap[y], disturbance_range=self.disturbance_range[rho],
             curves={name: curve for name, curve in self.curves.items() if name in names},
             sensor_delay=self.sensor_delay[y], sensor_rate=self.sensor_rate[y],
-            disturbance_noise=self.disturbance_noise[rho], equations=(), remake=None)
+            disturbance_noise=self.disturbance_noise[rho], equations=(), definitions=(),
+            unwritten=(), remake=None, unknown=None)
 
     def angles(self) -> tuple[dict[str, float], ...]:
         """
@@ -323,6 +372,10 @@ class Plant:
         if self.spreads:
             add('spreads', sorted(self.spreads.items()), self.equations, self.input_noise,
                 self.disturbance_noise)
+        if self.definitions:
+            add('definitions', self.definitions, self.equations)
+        if self.unknown is not None:
+            add('unknown', self.unknown)
         for term, g in zip(self.terms, self.G):
             add(term.text, term.slope, g)
         if self.slow.any() or self.tolerances:  # what has neither keeps its hash
@@ -330,11 +383,30 @@ class Plant:
         return digest.hexdigest()
 
 
+@lru_cache(maxsize=4)
+def _equations(texts: tuple[str, ...], definitions: tuple[tuple[str, str], ...],
+               names: tuple[str, ...]) -> Equations:
+    return Equations([parse(text) for text in texts], names,
+                     [(name, parse(text)) for name, text in definitions])
+
+
+def reading_node(plant: Plant, i: int) -> Node:
+    """Return the linear reading of the i-th sensor, or what it shows if it is no curve of one."""
+    names = (*plant.states, *plant.inputs, *plant.disturbances)
+    node = affine_node(np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]]), names)
+    if plant.unknown is None or not plant.Cd[i].any():
+        return node
+    return fold(substitute(node, {name: parse(text) for name, text in zip(
+        plant.disturbances, plant.unknown.texts)}))
+
+
 def measures_node(plant: Plant, i: int) -> Node:
     """Return what the i-th sensor shows, in the plant's names."""
     names = (*plant.states, *plant.inputs, *plant.disturbances)
     row = np.concatenate([plant.C[i], plant.Cu[i], plant.Cd[i]])
     curve = plant.curves.get(plant.sensors[i], Curve())
+    if plant.unknown is not None and plant.Cd[i].any():
+        return reading_node(plant, i)
     if not curve.text:
         return affine_node(row, names, curve.offset)
     beside = np.array([curve.beside.get(name, 0.0) for name in names])

@@ -56,7 +56,13 @@ def from_equations(plant: Plant, healthy: Collection[str] | None = None,
     if not plant.equations:
         raise BadInput(plant.name, 'dynamics', 'are not known as equations',
                        'write the plant file with dynamics')
+    if plant.definitions:
+        raise BadInput(plant.name, 'definitions', 'are too long to be written out in dynamics',
+                       'write shorter equations')
     unmeasured = set(plant.states) - set(plant.states if healthy is None else healthy)
+    if plant.unknown is not None:
+        raise BadInput(plant.name, 'disturbances', 'or sensors are in nonlinear addends, which '
+                       'submodels cannot hold', 'let unknown inputs be addends of their own')
     where = {**dict(zip(plant.states, plant.ranges)), **dict(zip(plant.inputs, plant.input_range)),
              **(ranges or {})}
     rows = [_expanded(fold(substitute(parse(text), plant.parameters)), plant.name,

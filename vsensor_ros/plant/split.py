@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from vsensor_ros.bad_input import BadInput, shown
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.functions.affine import affine, OFFSET, plus
 from vsensor_ros.functions.expression import (
     Apply,
@@ -52,11 +52,16 @@ class Split:
     P: np.ndarray                       # (n, q)
     G: tuple[np.ndarray, ...]           # q arrays (r_i, n)
     terms: tuple[NonlinearTerm, ...]    # q
+    rest: tuple[tuple[Node, ...], ...] = ()  # n: nonlinear addends that hold a disturbance
 
     def slower(self, factor: float) -> Split:
         """Return it with every rate so many times smaller: per second instead of per minute."""
+        if factor == 1.0:
+            return self
         return replace(self, A=self.A / factor, B=self.B / factor, D=self.D / factor,
-                       P=self.P / factor)
+                       P=self.P / factor, rest=tuple(tuple(
+                           fold(Apply('/', (node, Number(factor)))) for node in nodes)
+                           for nodes in self.rest))
 
 
 def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Sequence[str],
@@ -66,10 +71,11 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
     Split one right-hand side a state; the only names left are states, inputs, disturbances.
 
     And those of definitions, which are no sums: terms name them as they were written, and so
-    parameters and tables. No formal addend is taken out. Raises BadInput when a disturbance is
-    inside a nonlinear addend.
+    parameters and tables. No formal addend is taken out. Nonlinear addends with a disturbance
+    in them are left as they are, see `plant/unknown_inputs.py`.
     """
-    n = len(states)
+    n, unknown = len(states), set(disturbances)
+    rest: list[list[Node]] = [[] for _ in states]
     A, B, D = np.zeros((n, n)), np.zeros((n, len(inputs))), np.zeros((n, len(disturbances)))
     # a core, known by its text and rows -> its arguments G, its column of P, its name
     cores: dict[tuple[str, bytes], tuple[np.ndarray, np.ndarray, str]] = {}
@@ -82,11 +88,10 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
         if OFFSET in linear:
             nonlinear.append((linear[OFFSET], _ONE))
         for factor, core in nonlinear:
-            for name in names(substitute(core, definitions)):
-                if name in disturbances:
-                    raise BadInput(where, place, f'the unknown input {name} is inside the '
-                                   f'nonlinear addend {shown(to_text(core))}',
-                                   'let it enter as an addend of its own')
+            whole = substitute(core, definitions)
+            if not unknown.isdisjoint(names(whole)):
+                rest[i].append(whole if factor == 1.0 else Apply('*', (Number(factor), whole)))
+                continue
             rows: list[np.ndarray] = []
             text = to_text(lifted(core, states, inputs, rows, definitions))
             G = np.array(rows).reshape(len(rows), n)
@@ -100,7 +105,7 @@ def split_equations(equations: Sequence[Node], states: Sequence[str], inputs: Se
     for text, G, _, name in kept:
         terms.append(make_term(text, len(G), inputs, where, f'{key}: {name}', name))
     return Split(A, B, D, np.array([c for _, _, c, _ in kept]).reshape(len(kept), n).T,
-                 tuple(G for _, G, _, _ in kept), tuple(terms))
+                 tuple(G for _, G, _, _ in kept), tuple(terms), tuple(map(tuple, rest)))
 
 
 def addends(node: Node, where: object, key: str, nonlinear_names: Container[str] = (),
@@ -204,7 +209,7 @@ def with_addends(split: Split, point: np.ndarray, inputs: Sequence[str],
         slope = slope_at(term, G @ point, inputs, u)
         A += np.outer(column, slope @ G)
         terms.append(NonlinearTerm(term.name, term.text, slope))
-    return Split(A, split.B, split.D, split.P, split.G, tuple(terms))
+    return replace(split, A=A, terms=tuple(terms))
 
 
 def check_split(split: Split, equations: Sequence[Node], states: Sequence[str],
@@ -233,6 +238,9 @@ def check_split(split: Split, equations: Sequence[Node], states: Sequence[str],
             size = size + abs(np.outer(column, abs(psi) + abs(term.slope) @ abs(G @ x)))
         for i, equation in enumerate(equations):
             truth = np.broadcast_to(compile_node(equation, fetch)(values), (count,))
+            for node in split.rest[i] if split.rest else ():
+                more = compile_node(node, fetch)(values)
+                linear[i], size[i] = linear[i] + more, size[i] + abs(more)
             # an overflow says nothing of the split
             usable = np.isfinite(truth) & np.isfinite(linear[i])
             error = np.max(np.abs(truth - linear[i]) / size[i], where=usable, initial=0.0)

@@ -199,6 +199,8 @@ def _facts(entry: Entry, result: Design, plant: Plant | None) -> list[str]:
         facts.append(('nonlinear terms', ', '.join(terms)))
     facts += [('stability' if i == 0 else '', said)
               for i, said in enumerate(design_text.certificate(entry, result.units))]
+    if entry.why:
+        facts.append(('alternatives', entry.why))
     if len(entry.ladder) > 1:
         facts += [('ladder' if i == 0 else '', (
             f'order {rung.order}: noise error {design_text.number(rung.noise, unit)}, decay '

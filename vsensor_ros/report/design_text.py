@@ -9,7 +9,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.location import Location
-from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.functions.expression import names, parse, to_words
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
 from vsensor_ros.observers import (
     Certificate,
@@ -17,6 +17,7 @@ from vsensor_ros.observers import (
     Entry,
     ExtendedSensor,
     FaultObserver,
+    NonlinearSensor,
     Refusal,
     Rung,
     ScheduledSensor,
@@ -27,6 +28,7 @@ from vsensor_ros.plant import Plant
 
 NEARLY = 1e-9  # 1/s: a mode that grows more slowly stays
 DEAD = 20.0  # times the sample time: a faster decay than by exp(-20) a step is none
+FURTHEST = 300.0  # s after the loss of which is said how good a filter is then
 SHOWN = 6  # eigenvalues, of many
 LISTED = 12  # fault sets, of many
 UNITS_OF_TIME = ((1e3, 1.0, 's'), (7200.0, 60.0, 'min'), (172800.0, 3600.0, 'h'),
@@ -316,6 +318,8 @@ def certified(entry: Entry) -> str:
         return 'for a time only'
     if isinstance(entry, (ScheduledSensor, FaultObserver)):
         return 'over the ranges'
+    if isinstance(entry, NonlinearSensor):
+        return 'in a region' if entry.proved else 'not certified'
     if entry.certificate is None:
         linear = isinstance(entry, VirtualSensor) and not entry.active
         return 'linear: everywhere' if linear else 'not certified'
@@ -334,6 +338,8 @@ def facts(entry: Entry, unit: str, units: Mapping[str, str]) -> list[tuple[str, 
                 ('stability', IMMERSED.format(angle=angle) if angle else FILTERED),
                 ('why a filter', entry.why)]
         return [(name, text) for name, text in said if text]
+    if isinstance(entry, NonlinearSensor):
+        return _function(entry, unit, units)
     if isinstance(entry, ScheduledSensor):
         return [('order', f'{entry.order} (nothing proved of the least)'),
                 ('good', f'within {number(entry.half_width, unit)}, once its start is forgotten'),
@@ -349,6 +355,27 @@ def facts(entry: Entry, unit: str, units: Mapping[str, str]) -> list[tuple[str, 
     return [('kind', entry.kind), ('order', order(entry)), ('noise error', noise(entry, unit)),
              ('decay', decay(entry)), ('reads', reads(entry)), ('stability', certified(entry)),
              ('grade', entry.grade), ('found as', entry.method)]
+
+
+def _function(entry: NonlinearSensor, unit: str,
+              units: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Say what there is to say of a function of the states."""
+    mark = "'" if entry.sample_time is None else '+'
+    proved = 'in a region: while ' + ', '.join(
+        _between((name, *ends), units) for name, ends in entry.region.items()) if entry.proved \
+        else 'found at points of the declared ranges, not proved between them'
+    if entry.grade == 'temporary':
+        proved = ('nothing is certified: it starts from the last good readings of '
+                  + ', '.join(entry.channels))
+    return [('order', f'{entry.order} (nothing proved of the least)'),
+            *(('function' if not i else '', f'{name} = {phi}')
+              for i, (name, phi) in enumerate(zip(entry.z, entry.phi))),
+            *((f'{name}{mark}', to_words(parse(text))) for name, text in zip(entry.z, entry.F)),
+            ('says', to_words(parse(entry.out))),
+            *((('where not', c.words)) for c in entry.validity),
+            ('good', grows(entry, unit)), ('decay', decay(entry)), ('reads', reads(entry)),
+            ('found as', entry.method), ('stability', proved),
+            *([('why a function', entry.why)] if entry.why else [])]
 
 
 def _one_form(entry: ScheduledSensor | FaultObserver, units: Mapping[str, str]) -> str:
@@ -369,9 +396,9 @@ def tried(entry: ExtendedSensor, unit: str) -> str:
             f'deviations; withdrawn in {t.lost:.0%} of the runs')
 
 
-def grows(entry: ExtendedSensor, unit: str) -> str:
-    """Say how the deviation of a filter grows after the loss."""
-    last = float(entry.ages[-1])
+def grows(entry: ExtendedSensor | NonlinearSensor, unit: str) -> str:
+    """Say how the deviation grows after the loss."""
+    last = min(float(entry.ages[-1]), FURTHEST)
     said = ', '.join(f'{number(float(np.interp(age, entry.ages, entry.drift)), unit)} after '
                      f'{age:.3g} s' for age in (0.0, 0.1 * last, last))
     return f'{said}, at the operating point; elsewhere the machine works it out'

@@ -401,6 +401,7 @@ def _sensor(plant: Plant, design: Design, entry: Entry) -> str:
                        'the readings is amplified by more, at any frequency'),
         ('nonlinear terms', escape(', '.join(entry.terms[i].short for i in entry.active))),
         ('found as', escape(entry.method)),
+        ('alternatives', escape(entry.why)),
     ]
     text = _facts(facts)
     if temporary:

@@ -116,7 +116,7 @@ def read_drive(given: Section, plant: Plant, sensor_rate: float, command_rate: f
     law = [compile_expression(node, known) for node in inputs]
     closed = any(set(names(node)) - {'t'} for node in inputs)
     unknown = [compile_expression(node, ['t'])
-               for node in given.expressions('disturbances', plant.disturbances, ('t',))]
+               for node in given.expressions('disturbances', plant.unknown_inputs, ('t',))]
     states = [plant.states.index(s) for s in known[1:]]
 
     def commands(t: Array, x: Array) -> Array:

@@ -26,17 +26,17 @@ def simulate(plant: Plant, t: ArrayLike, inputs: Signal = None, disturbances: Si
     """
     Return the true states at the times `t` [s] (T,), shape (T, n).
 
-    `inputs` (T, m) and `disturbances` (T, d) are held from t[k] to t[k + 1], as an actuator holds
-    a command; a function of time is followed as it is; None is zero. `x0` defaults to
-    `plant.initial`. Continuous plants are integrated to 1e-10 with each sliding or crossing of a
-    `sign(w1)` term located as an event (Filippov's solution: a stopped axis stays stopped);
-    discrete ones are iterated, and `t` must then step by the sample time. An input with a dead
-    time acts so much later; before the first it is as the first.
+    `inputs` (T, m) and `disturbances` (T, d) of `plant.unknown_inputs` are held from t[k] to
+    t[k + 1], as an actuator holds a command; a function of time is followed as it is; None is
+    zero. `x0` defaults to `plant.initial`. Continuous plants are integrated to 1e-10 with each
+    sliding or crossing of a `sign(w1)` term located as an event (Filippov's solution: a stopped
+    axis stays stopped); discrete ones are iterated, and `t` must then step by the sample time. An
+    input with a dead time acts so much later; before the first it is as the first.
     """
     t = np.asarray(t, float)
     x = np.array(plant.initial if x0 is None else x0, float)
     u, u_jumps = _signal(_later(inputs, t, plant.input_delay), t, plant.B.shape[1], 'inputs')
-    rho, rho_jumps = _signal(disturbances, t, plant.D.shape[1], 'disturbances')
+    rho, rho_jumps = _signal(disturbances, t, len(plant.unknown_inputs), 'disturbances')
     if plant.sample_time is None:
         return _flow(plant, t, u, rho, x, np.union1d(u_jumps, rho_jumps))
     if not np.allclose(np.diff(t), plant.sample_time, rtol=1e-6):
@@ -58,8 +58,9 @@ def readings(plant: Plant, t: ArrayLike, x: ArrayLike, inputs: Signal = None,
     """
     t, x = np.asarray(t, float), np.asarray(x, float)
     u, _ = _signal(_later(inputs, t, plant.input_delay), t, plant.B.shape[1], 'inputs')
-    rho, _ = _signal(disturbances, t, plant.D.shape[1], 'disturbances')
-    y = np.array([plant.C @ x[k] + plant.Cu @ u(k, t[k]) + plant.Cd @ rho(k, t[k])
+    rho, _ = _signal(disturbances, t, len(plant.unknown_inputs), 'disturbances')
+    y = np.array([plant.C @ x[k] + plant.Cu @ u(k, t[k])
+                  + plant.Cd @ plant.acting(x[k], u(k, t[k]), rho(k, t[k]))
                   for k in range(len(t))])
     for i, name in enumerate(plant.sensors):
         if name in plant.curves:
@@ -134,6 +135,9 @@ class _Motion:
         n = plant.A.shape[0]
         self.rows = np.array([plant.G[i][0] for i in self.signs]).reshape(-1, n)    # w = rows @ x
         self.push = plant.P[:, self.signs]
+        if plant.unwritten and self.signs:
+            raise ValueError(f'{plant.name}: a sign stands beside equations that are too large '
+                             'to be terms; write friction with tanh')
         for i in self.signs:
             if np.any(plant.terms[i].slope):
                 raise ValueError(f'{plant.terms[i].name}: a sign term has no slope')
@@ -141,7 +145,9 @@ class _Motion:
     def free(self, x: Array, u: Array, rho: Array) -> Array:
         """Return x' without the sign terms."""
         plant = self.plant
-        rate = plant.A @ x + plant.B @ u + plant.D @ rho
+        if plant.unwritten:
+            return plant.rate_of_change(x, u, rho)
+        rate = plant.A @ x + plant.B @ u + plant.D @ plant.acting(x, u, rho)
         for i, value in self.smooth:
             w = plant.G[i] @ x
             rate = rate + plant.P[:, i] * (value(w, u) - plant.terms[i].slope @ w)

@@ -128,6 +128,26 @@ def test_two_sensors_of_one_state_that_nobody_knows():
     assert np.isfinite(run(twice, np.ones((3, 2)))[0, :2]).all()
 
 
+def test_many_readings_count_as_each_of_them():
+    """Seven readings of two states, one of all: the textbook's gain of seven, step by step."""
+    rng = np.random.default_rng(3)
+    C, noise = rng.standard_normal((7, 2)), rng.uniform(0.01, 3.0, 7)
+    given = {'C': C, 'Cu': np.zeros((7, 1)), 'noise': noise, 'lasts': np.zeros(7), 'spread': 0.0}
+    reads = np.array([[True] * 7, [True, False] * 3 + [False]])
+    filter_ = Filter(model(**given), H, reads, reads)
+    z, y = filter_.start(told(*np.zeros(7))), rng.standard_normal((30, 7))
+    F, _, Q = (of[0] for of in filter_.linear(np.zeros(2), np.zeros(1)))
+    for reading in y:
+        before, z = z, filter_.step(z, told(*reading), np.zeros((3, 1)))
+        for row, some in enumerate(reads):
+            R, Cs = np.diag(noise[some]**2), C[some]
+            P = F @ before[row, 2:6].reshape(2, 2) @ F.T + Q
+            K = P @ Cs.T @ np.linalg.inv(Cs @ P @ Cs.T + R)
+            x = expm(A * H) @ before[row, :2]
+            np.testing.assert_allclose(z[row, :2], x + K @ (reading[some] - Cs @ x), rtol=1e-5)
+            np.testing.assert_allclose(z[row, 2:6].reshape(2, 2), P - K @ Cs @ P, rtol=1e-7)
+
+
 def test_what_has_become_old_is_no_reading():
     """A sensor pauses while the mass moves on: that neither pulls nor tells of the model."""
     filter_, alone = one(reads=(True, True)), one(reads=(True, False))
@@ -145,6 +165,6 @@ def test_what_has_become_old_is_no_reading():
 def test_a_variance_that_rounding_has_taken():
     filter_ = one()
     z = run(filter_, np.zeros((2, 2)))
-    z[0, 2:6] = -filter_.gain(z[:, 2:6].reshape(1, 2, 2))[1][0, 0] * np.eye(2).ravel()
+    z[0, 2:6] = -filter_.variances(z[:, 2:6].reshape(1, 2, 2))[0, 0] * np.eye(2).ravel()
     with np.errstate(all='raise'):
         assert np.isfinite(filter_.step(z, told(1.0, 0.0), np.zeros((3, 1)))).all()

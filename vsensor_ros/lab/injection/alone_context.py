@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cache, partial
 import math
 import time
 
+from vsensor_ros.bank import Residuals
 from vsensor_ros.lab.injection.blame import (
     BY_READINGS,
     BY_RESIDUALS,
@@ -25,8 +26,7 @@ from vsensor_ros.lab.injection.verdict import PART, Said, SIGMAS
 from vsensor_ros.observers import Isolability
 
 LEARNING = 1200     # readings of a healthy machine, before which its habits are not known
-WARM = 60.0         # s that the slowest observer has at most to forget its start
-DECAYED = 7.0       # time constants in which it has
+UP = 4.0            # s until a process that was started hears all
 FOUND = 10.0        # s in which a fault must have been found, beside the max_age of its sensor
 WINDOW = 64         # readings in which noise is looked for
 JUDGED = 0.3        # s until what was read last has been judged
@@ -39,6 +39,7 @@ class AloneContext(CaseContext):
     """A replacer whom nobody tells who has failed."""
 
     to_learn: float | None = None   # s that may be left to learn; None: it has just started
+    started: float = field(default_factory=time.monotonic)  # when the residuals' observers did
 
     apart = 6.0     # all that alarms within 5 s is one fault
 
@@ -98,6 +99,14 @@ class AloneContext(CaseContext):
         self.machine.latest, self.machine.faulty = {}, frozenset()
         self.machine.verdict = Said(time.monotonic(), '', {})
 
+    def restarted(self) -> None:
+        """Note that the observers of the residuals start anew."""
+        self.started, self.fresh = time.monotonic(), False
+
+    def unready(self) -> float:
+        """Return how long [s] it takes until these have forgotten their starts."""
+        return max(0.0, self.started + UP + forgetting_time(self.tested) - time.monotonic())
+
     # --------------------------------------------------------------------------- isolation
 
     def isolate(self, *names: str) -> None:
@@ -143,6 +152,8 @@ class AloneContext(CaseContext):
             self.play(WINDOW / self.tested.parameters.general('rate'))
 
         def near() -> bool:
+            if not self.machine.heard.told:     # nothing new since a case was judged
+                return False
             status = self.machine.heard.told[-1]
             facts = status.facts.get(name, {})
             residual, deviation = _number(facts, 'residual'), _number(facts, 'deviation')
@@ -161,10 +172,11 @@ class AloneContext(CaseContext):
         known = LEARNING / self.tested.parameters.general('rate')
         self.until(lambda: math.isfinite(self.machine.verdict.learning), SOON, 'its isolator')
         self.await_state(HEALTHY, CALM)
+        self.play(self.unready())
         if self.to_learn is None:
             self.to_learn = max(0.0, self.machine.verdict.learning - known)
         self.until(lambda: self.machine.verdict.learning <= (self.to_learn or 0.0),
-                   learning_time(self.tested) + WARM, 'enough learnt')
+                   learning_time(self.tested), 'enough learnt')
         self.await_reserve(self.target)
         self.fresh = True
 
@@ -177,11 +189,15 @@ class AloneContext(CaseContext):
 
 def learning_time(tested: UnderTest) -> float:
     """Return how long it takes until enough is learnt of a healthy machine [s]."""
+    return UP + LEARNING / tested.parameters.general('rate') + forgetting_time(tested)
+
+
+@cache
+def forgetting_time(tested: UnderTest) -> float:
+    """Return how long the slowest observer of a residual takes to forget its start [s]."""
     found = tested.design.isolability
-    entries = [*tested.design.virtual_sensors, *(found.filters.values() if found else ())]
-    slowest = min((entry.decay for entry in entries), default=0.0)
-    return 4.0 + LEARNING / tested.parameters.general('rate') + min(
-        WARM, DECAYED / max(slowest, 1e-3))
+    return Residuals(tested.design.isolating(), found.residuals if found else (),
+                     tested.parameters.general('rate'), tested.max_age).warm_up
 
 
 def _number(facts: Mapping[str, str], key: str) -> float | None:

@@ -128,6 +128,10 @@ class CaseContext:
             return f'the replacer waited {waited:.1f} of {lasted:.0f} s for a processor'
         return ''
 
+    def unready(self) -> float:
+        """Return how long [s] it takes at least until a case can be played."""
+        return 0.0
+
     # ----------------------------------------------------------------------- the machine
 
     def play(self, seconds: float) -> None:

@@ -157,6 +157,8 @@ def disorder(context: CaseContext) -> None:
 
     for driver in _sensors(context):
         driver.garble = shuffled() if driver.stamped else lambda message: (message, message)
+    # of the others nothing but what comes goes out, as it comes
+    context.machine.heard.spoken &= {context.tested.wiring.ports[context.target].output}
     with context.excused(stamps=True):  # a relay, while all is healthy
         context.play(0.7)
     fail_over(context, lambda: context.fault('bias', size=BIAS * context.span(context.target)),

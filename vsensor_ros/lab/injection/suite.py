@@ -116,8 +116,10 @@ def _lasts(tested: UnderTest, case: Case) -> float:
     if case is LEARN:
         return learning_time(tested)
     seconds = case.seconds + 2.0 * tested.dwell
-    if case.each:   # and what reads a sensor that has failed has to converge again
-        seconds += case.seconds * (len(tested.plant.sensors) - 1) + learning_time(tested)
+    if case.each:
+        seconds += case.seconds * (len(tested.plant.sensors) - 1)
+    if tested.alone and case.session in (OURS, SIMULATED):  # it may be found only by then
+        seconds += learning_time(tested)
     return seconds
 
 
@@ -171,8 +173,8 @@ def _play(context: CaseContext, left: list[Case], tries: Counter[str], note: Say
         return
     context.play(0.5)
     started = False
-    while left and (not started or machine.now + _lasts(tested, left[0]) + MARGIN
-                    <= machine.truth.end):
+    while left and (not started or machine.now + context.unready() + _lasts(tested, left[0])
+                    + MARGIN <= machine.truth.end):
         case = left[0]
         # where there is no room in /dev/shm, to start is all there is to try
         if case.session != FULL_SHM and not (started and context.fresh):

@@ -9,13 +9,13 @@ is read as two more, of its cosine and of its sine, and the angle goes on and on
 
 from __future__ import annotations
 
+from itertools import pairwise
 import math
 
 import numpy as np
 
-from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers.kinds.batch import Told
+from vsensor_ros.observers.kinds.extended.motion import Motion
 from vsensor_ros.observers.kinds.extended.sensor import Model
 
 WHILE = 0.1  # s over which the mean of what sensors say beside what is expected is taken
@@ -41,51 +41,66 @@ class Filter:
                  clean: bool = False) -> None:
         self._model, self._discrete = model, model.sample_time is not None
         self._h = 1.0 if self._discrete else period
-        self._equations = Equations([parse(text) for text in model.equations], (
-            *model.states, *model.inputs, *model.unknown, *model.parameters))
-        self._n, self._p = len(model.states), len(model.parameters)
-        n, p = self._n, self._p
+        self._motion = Motion(model, period)
+        n, p = self._n, self._p = len(model.states), len(model.parameters)
         # sensors of the angle, and of all that are read which of the L that is
         self._turning = np.flatnonzero(model.factors)
         of = np.concatenate([np.arange(len(model.C)), self._turning, self._turning])
         self._own, self._factors = of, model.factors[self._turning]
         self.width = n + n * n + n * p + len(of) + bool(model.angle) + 1
-        self._cuts = np.cumsum([n, n * n, n * p, len(of), int(bool(model.angle))]).tolist()
+        self._cuts = [slice(a, b) for a, b in pairwise(np.cumsum(
+            [0, n, n * n, n * p, len(of), int(bool(model.angle)), 1]).tolist())]
         self._reads, self._healthy = reads[:, of], healthy[:, of]
         self._all, noise = model.C, model.noise
         if model.angle:
             circle = np.repeat(np.eye(n)[list(model.circle)], len(self._turning), axis=0)
             self._all = np.vstack([model.C, circle])
             noise = np.concatenate([noise, *[noise[self._turning] / np.abs(self._factors)] * 2])
-        self._C = self._all * self._reads[:, :, None]
         self._Cu = np.zeros((len(of), model.Cu.shape[1])) if clean else model.Cu[of]
         # of readings that are rarer than steps, each counts for many of these
-        self._meter = np.diag(noise**2 * np.maximum(model.lasts[of] / period, 1.0))
+        self._meter = noise**2 * np.maximum(model.lasts[of] / period, 1.0)
+        # of P (n n,): what readings beside what is expected vary by
+        self._squares = (self._all[:, :, None] * self._all[:, None, :]).reshape(len(of), -1).T
         self._stale = STALE * np.maximum(model.lasts, period)
-        self._drive = np.concatenate([model.input_noise, model.unknown_noise])**2
+        self._fresh: tuple[bytes, Filter] = b'', self
         self._variance = model.spreads**2
+        root = 1.0 if self._discrete else math.sqrt(period)  # white noise, of one step
+        self._moves, self._drive = root * np.diag(model.process_noise), root * self._motion.drive
+        self._one = np.eye(n)
         self._share = min(1.0, period / WHILE)  # of a new value in the mean over a while
         self._usual = self._share / (2.0 - self._share) * np.maximum(
-            self._healthy.sum(axis=1), 1)
+            self._healthy.sum(axis=1, keepdims=True), 1)
+        self._compress()
+
+    def _compress(self) -> None:
+        """Make of the readings of each n that tell as much, with noise of 1: that is less work."""
+        scaled = self._all * (self._reads / np.sqrt(self._meter))[:, :, None]
+        turn, self._C = np.linalg.qr(scaled)
+        self._turn = _turned(turn) / np.sqrt(self._meter)
+        self._unit = np.eye(self._C.shape[1])
 
     def of(self, rows: np.ndarray) -> Filter:
         """Return one of some of the filters alone; rows (r,) int may repeat."""
         found = object.__new__(Filter)
         found.__dict__.update(self.__dict__)
-        for name in ('_reads', '_healthy', '_C', '_usual'):
+        for name in ('_reads', '_healthy', '_C', '_turn', '_usual'):
             setattr(found, name, getattr(self, name)[rows])
+        found._fresh = b'', found
         return found
 
     def _with(self, ages: np.ndarray) -> Filter:
         """Return one that leaves out what is no reading any more; ages (L,) s, or (0,)."""
         if not (ages.size and (stale := ages > self._stale).any()):
             return self
-        found = object.__new__(Filter)
-        found.__dict__.update(self.__dict__)
-        fresh = ~stale[self._own]
-        found._reads, found._healthy = self._reads & fresh, self._healthy & fresh
-        found._C = self._C * fresh[:, None]
-        return found
+        which = stale.tobytes()
+        if self._fresh[0] != which:  # mostly it is as before
+            found = object.__new__(Filter)
+            found.__dict__.update(self.__dict__)
+            fresh = ~stale[self._own]
+            found._reads, found._healthy = self._reads & fresh, self._healthy & fresh
+            found._compress()
+            self._fresh = which, found
+        return self._fresh[1]
 
     def start(self, told: Told) -> np.ndarray:
         """
@@ -98,66 +113,78 @@ class Filter:
                                                              (R, 1, 1))
         X, mean = np.zeros((R, n, self._p)), np.zeros(self._reads.shape)
         said, fresh = np.zeros((R, int(bool(self._model.angle)))), self._with(told.ages)
-        if not self._model.angle:
-            return fresh._corrected(x, P, X, mean, said, np.zeros(R), told)
-        for _ in range(NEARER):  # it may be anywhere, however far that is from what is expected
-            x = x + (fresh.gain(P)[0] @ fresh._off(x, told)[:, :, None])[:, :, 0]
-        return fresh._corrected(x, P, X, mean, said, np.zeros(R), told)
+        if self._model.angle:
+            for _ in range(NEARER):  # it may be anywhere, however far that is from the expected
+                x = fresh._nearer(x, fresh.gain(P), fresh._off(x, told))
+        return fresh._corrected(x, P, X, mean, said, np.zeros((R, 1)), told)
 
     def step(self, z: np.ndarray, after: Told, commands: np.ndarray) -> np.ndarray:
         """Step the states (R, k) to readings at the end, by commands (3, m): see `Batch.step`."""
-        x, P, X, mean, said, worst = np.split(z, self._cuts, axis=1)
+        x, P, X, mean, said, worst = [z[:, part] for part in self._cuts]
         P = P.reshape(len(z), self._n, self._n)
-        x, (F, G, Q) = self._moved(x, commands, P)
-        P, X = self.spread_step(F, G, Q, P, X.reshape(len(z), self._n, self._p))
-        return self._with(after.ages)._corrected(x, P, X, mean, said, worst[:, 0], after)
+        x, middle, slopes = self._motion.step(x, commands)
+        if self._model.angle:
+            slopes = self._beside(middle, commands[2], P)
+        P, X = self.spread_step(*self._matrices(slopes), P,
+                                X.reshape(len(z), self._n, self._p))
+        return self._with(after.ages)._corrected(x, P, X, mean, said, worst, after)
 
     def linear(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return F (1, n, n), G (1, n, p) and Q (1, n, n) of a step at a point that is known."""
-        return self._matrices(self._slopes(x[None], u, np.zeros((1, self._n, self._n)))[1])
+        nothing = np.zeros((1, self._n, self._n))
+        return self._matrices(self._beside(x[None], u, nothing) if self._model.angle
+                              else self._motion.slopes(x[None], u))
 
     def spread_step(self, F: np.ndarray, G: np.ndarray, Q: np.ndarray, P: np.ndarray,
                     X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariances of the states (R, n, n), and with the parameters (R, n, p)."""
-        cross = F @ X @ _turned(G)
-        moved = F @ P @ _turned(F) + cross + _turned(cross) + (G * self._variance) @ _turned(G) + Q
-        return moved, F @ X + G * self._variance
+        if not self._p:
+            return F @ P @ _turned(F) + Q, X
+        moved = F @ X + G * self._variance
+        return (F @ P + G @ _turned(X)) @ _turned(F) + moved @ _turned(G) + Q, moved
 
-    def gain(self, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gains (R, n, L) and the variances of what is read beside what is expected."""
+    def gain(self, P: np.ndarray) -> np.ndarray:
+        """Return gains (R, n, r) of the readings that `_compress` makes."""
         seen = self._C @ P
-        S = seen @ _turned(self._C) + self._meter
-        known, one = np.isfinite(S).all(axis=(1, 2)), np.eye(S.shape[1])
+        S = seen @ _turned(self._C) + self._unit
         # two sensors of one state that nobody knows yet differ by less than there are digits
-        S = np.where(known[:, None, None], S * (1.0 + FAINTEST * one), one)
-        return _turned(np.linalg.solve(S, seen)), np.diagonal(S, axis1=1, axis2=2)
+        S *= 1.0 + FAINTEST * self._unit
+        if not np.isfinite(S).all():
+            S[~np.isfinite(S).all(axis=(1, 2))] = self._unit
+        return _turned(np.linalg.solve(S, seen))
+
+    def variances(self, P: np.ndarray) -> np.ndarray:
+        """Return by how much readings (R, L) vary beside what is expected of them."""
+        # rounding may take it off
+        return np.maximum(P.reshape(len(P), -1) @ self._squares, 0.0) + self._meter
 
     def spread_correction(self, K: np.ndarray, P: np.ndarray, X: np.ndarray,
                           ) -> tuple[np.ndarray, np.ndarray]:
         """Return the covariances after a correction, in the form that keeps them positive."""
         left = self.after(K)
-        P = left @ P @ _turned(left) + K @ self._meter @ _turned(K)
-        return (P + _turned(P)) / 2.0, left @ X
+        P = left @ P @ _turned(left) + K @ _turned(K)
+        return (P + _turned(P)) * 0.5, left @ X if self._p else X
 
     def after(self, K: np.ndarray) -> np.ndarray:
         """Return what of an error in the states (R, n) gains leave (R, n, n)."""
-        return np.eye(self._n) - K @ self._C
+        return self._one - K @ self._C
+
+    def _nearer(self, x: np.ndarray, K: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """Return states corrected by gains."""
+        return x + (K @ (self._turn @ off[:, :, None]))[:, :, 0]
 
     def _corrected(self, x: np.ndarray, P: np.ndarray, X: np.ndarray, mean: np.ndarray,
                    said: np.ndarray, worst: np.ndarray, told: Told) -> np.ndarray:
-        off = self._off(x, told)
-        K, variances = self.gain(P)
-        x = x + (K @ off[:, :, None])[:, :, 0]
+        off, K = self._off(x, told), self.gain(P)
+        white = np.where(self._healthy, off / np.sqrt(self.variances(P)), 0.0)
+        x = self._nearer(x, K, off)
         P, X = self.spread_correction(K, P, X)
-        variances = np.maximum(variances, np.diagonal(self._meter))  # rounding may take it off
-        white = np.where(self._healthy, off / np.sqrt(variances), 0.0)
         mean = mean + self._share * (white - mean)
-        worst = np.maximum(worst, (mean * mean).sum(axis=1) / self._usual)
+        worst = np.maximum(worst, (mean * mean).sum(axis=1, keepdims=True) / self._usual)
         if self._model.angle:
             said = self._angle(x, said, told)
         R = len(x)
-        return np.concatenate([x, P.reshape(R, -1), X.reshape(R, -1), mean, said,
-                               worst[:, None]], axis=1)
+        return np.concatenate([x, P.reshape(R, -1), X.reshape(R, -1), mean, said, worst], axis=1)
 
     def _off(self, x: np.ndarray, told: Told) -> np.ndarray:
         """Return what was read beside what is expected of states (R, n)."""
@@ -178,36 +205,13 @@ class Filter:
         return said + np.remainder(
             np.arctan2(x[:, sin], x[:, cos])[:, None] - said + np.pi, 2 * np.pi) - np.pi
 
-    def _at(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return where to evaluate the equations: states (R, n) and commands (m,)."""
-        m = self._model
-        others = np.concatenate([u, np.zeros(len(m.unknown)), m.values])
-        return np.concatenate([x.T, np.broadcast_to(others[:, None], (len(others), len(x)))])
-
-    def _moved(self, x: np.ndarray, commands: np.ndarray, P: np.ndarray,
-               ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return states (R, n) a step on, by Runge and Kutta, and its matrices, at the middle."""
-        begin, end, mean = commands
-        if self._discrete:
-            found, slopes = self._slopes(x, mean, P)
-            return found.T, self._matrices(slopes)
-        f, h = self._equations, self._h
-        k1 = f.values(self._at(x, begin)).T
-        k2 = f.values(self._at(x + h / 2 * k1, mean)).T
-        k3, slopes = self._slopes(x + h / 2 * k2, mean, P)
-        k4 = f.values(self._at(x + h * k3.T, end)).T
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3.T + k4), self._matrices(slopes)
-
-    def _slopes(self, x: np.ndarray, u: np.ndarray,
-                P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _beside(self, x: np.ndarray, u: np.ndarray, P: np.ndarray) -> np.ndarray:
         """
-        Return values (n, R) and slopes (n, .., R) at states; of an angle (n, .., 3 R).
+        Return slopes (3 R, n, ..) at states (R, n) of a model with an angle.
 
         Noise on what drives an angle acts along a direction that is not known well: slopes a
         deviation of cosine and sine beside the states are the second R, and the third.
         """
-        if not self._model.angle:
-            return self._equations.slopes(self._at(x, u))
         R, (c, s) = len(x), self._model.circle
         first = np.sqrt(np.maximum(P[:, c, c], 0.0))
         across = P[:, c, s] / np.where(first > 0.0, first, 1.0)
@@ -215,26 +219,29 @@ class Filter:
         points[R:2 * R, c] += first
         points[R:2 * R, s] += across
         points[2 * R:, s] += np.sqrt(np.maximum(P[:, s, s] - across**2, 0.0))
-        found, slopes = self._equations.slopes(self._at(points, u))
-        return found[:, :R], slopes
+        return self._motion.slopes(points, u)
 
     def _matrices(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return F, G and Q of derivatives (n, n + m + d + p, R), of an angle as in `_slopes`."""
+        """Return F, G and Q of slopes (R, n, ..), of an angle as in `_beside`."""
         n, h = self._n, self._h
-        slopes = slopes.transpose(2, 0, 1)
-        A, drive, by = np.split(slopes, [n, slopes.shape[2] - self._p], axis=2)
-        one, driven = np.eye(n), self._drive
-        if self._model.angle:
-            drive, *beside = np.split(drive, 3)
-            A, by = A[:len(drive)], by[:len(drive)]
-            drive = np.concatenate([drive, *(other - drive for other in beside)], axis=2)
-            driven = np.tile(driven, 3)
-        W = (drive * driven) @ _turned(drive) + np.diag(self._model.process_noise**2)
-        if self._discrete:
-            return A, by, W
-        AA = A @ A
-        F, held = one + h * A + h * h / 2 * AA, h * one + h * h / 2 * A + h**3 / 6 * AA
-        return F, held @ by, held @ W @ _turned(held) / h
+        A, drive, by = (slopes[:, :, part] for part in (
+            slice(n), slice(n, slopes.shape[2] - self._p), slice(slopes.shape[2] - self._p, None)))
+        push = self._moves  # what noise of 1 does to the states
+        if drive.shape[2]:
+            drive = drive * self._drive
+            if self._model.angle:
+                drive, *beside = np.split(drive, 3)
+                A, by = A[:len(drive)], by[:len(drive)]
+                drive = np.concatenate([drive, *(other - drive for other in beside)], axis=2)
+            push = np.concatenate([np.broadcast_to(push, A.shape), drive], axis=2)
+        elif self._model.angle:
+            A, by = np.split(A, 3)[0], np.split(by, 3)[0]
+        if not self._discrete:
+            A = h * A
+            AA = A @ A
+            held = self._one + 0.5 * A + AA / 6.0
+            A, by, push = self._one + A + 0.5 * AA, h * (held @ by), held @ push
+        return A, by, push @ _turned(push)
 
     def row(self, sensor: int, x: np.ndarray) -> np.ndarray:
         """Return the slopes (n,) of what a sensor reads at states (n,); infinite: not known."""
@@ -269,4 +276,5 @@ class Filter:
 
 
 def _turned(matrices: np.ndarray) -> np.ndarray:
-    return matrices.transpose(0, 2, 1)
+    # a copy, of which products take less time
+    return np.ascontiguousarray(matrices.transpose(0, 2, 1))

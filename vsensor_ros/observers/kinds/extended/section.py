@@ -30,6 +30,8 @@ def write_section(entry: ExtendedSensor) -> dict[str, Any]:
         'reads': list(entry.reads), 'decay': entry.decay, 'warm_up': entry.warm_up,
         'ages': entry.ages.tolist(), 'drift': entry.drift.tolist(),
         'equations': list(m.equations), 'unknown': list(m.unknown),
+        **({'definitions': [{'name': name, 'text': text} for name, text in m.definitions]}
+           if m.definitions else {}),
         **({'why': entry.why} if entry.why else {}),
         **({'tried': vars(entry.tried)} if entry.tried else {}),
         **({'angle': {'state': m.angle, 'factors': m.factors.tolist()}} if m.angle else {}),
@@ -43,7 +45,7 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     """Read what write_section wrote; raises BadInput."""
     reader.only(('reads', 'decay', 'warm_up', 'ages', 'drift', 'equations', 'unknown',
                  'parameters', *_VECTORS, 'C', 'Cu', 'why', 'angle',
-                 'tried'))
+                 'tried', 'definitions'))
     reads = reader.names('reads')
     if not set(reads) <= set(plant.sensors) - set(fault_set):
         raise reader.fail('reads', 'are not healthy sensors')
@@ -63,6 +65,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     equations = reader.texts('equations')
     if len(equations) != n:
         raise reader.fail('equations', f'are not {n}, one a state')
+    definitions = _definitions(reader, known)
+    known = (*known, *(name for name, _ in definitions))
     for i, text in enumerate(equations):
         check_equation(text, known, reader.path, f'{reader.place}equations[{i}]')
     lengths = dict(zip(_VECTORS, (n, m, len(unknown), L, L, n, n)))
@@ -85,7 +89,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                   np.array([item.number('value') for item in items]),
                   np.array([item.size('spread') for item in items]),
                   C=reader.array('C', L, n), Cu=reader.array('Cu', L, m),
-                  sample_time=plant.sample_time, angle=angle, factors=factors, **vectors)
+                  sample_time=plant.sample_time, angle=angle, factors=factors,
+                  definitions=definitions, **vectors)
     own = plant.sensors.index(channel)
     if angle:
         if not factors[own]:
@@ -101,6 +106,24 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
                           reader.size('warm_up'), ages, drift,
                           reader.text('why') if 'why' in reader.record else '',
                           _tried(reader) if 'tried' in reader.record else None)
+
+
+def _definitions(reader: CheckedObject, known: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Read what equations use by name; each may use what is known, and those before it."""
+    if 'definitions' not in reader.record:
+        return ()
+    items = reader.objects('definitions')
+    for item in items:
+        item.only(('name', 'text'))
+    found = CheckedObject(reader.path, f'{reader.place}definitions.', {
+        'name': [item.text('name') for item in items]}).names('name')
+    if len({*known, *found}) < len(known) + len(found):
+        raise reader.fail('definitions', 'have a name that stands for something else')
+    texts = [item.text('text') for item in items]
+    for i, text in enumerate(texts):
+        check_equation(text, (*known, *found[:i]), reader.path,
+                       f'{reader.place}definitions[{i}]')
+    return tuple(zip(found, texts))
 
 
 def _tried(reader: CheckedObject) -> Tried:

@@ -41,6 +41,8 @@ class Model:
     angle: str = ''
     # (L,) of the angle in what sensors read, and of nothing else there; (0,): there is none
     factors: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    # names and texts that equations use, of which a later one may use earlier ones
+    definitions: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
@@ -122,5 +124,6 @@ class ExtendedSensor:
     def commands(self) -> tuple[str, ...]:
         """Names of the commands that its equations or sensors hold."""
         m = self.model
-        used = {name for text in m.equations for name in names(parse(text))}
+        texts = (*m.equations, *(text for _, text in m.definitions))
+        used = {name for text in texts for name in names(parse(text))}
         return tuple(name for i, name in enumerate(m.inputs) if name in used or m.Cu[:, i].any())

@@ -33,7 +33,8 @@ from vsensor_ros.observers.knowledge_section import (
 _ARRAYS = ('Phi', 'N', 'J', 'B', 'P', 'Cv', 'Q', 'Qu', 'z0', 'z0_gain')
 _KEYS = frozenset((
     'healthy', 'order', 'method', 'grade', 'noise_gain', 'disturbance_gain', 'eigenvalues',
-    'terms', 'proof', 'ladder', 'noise', 'certificate', 'start', 'tracking', *_ARRAYS))
+    'terms', 'proof', 'ladder', 'noise', 'certificate', 'start', 'tracking', 'why',
+    *_ARRAYS))
 
 
 def write_section(v: VirtualSensor) -> dict[str, Any]:
@@ -57,6 +58,7 @@ def write_section(v: VirtualSensor) -> dict[str, Any]:
         'certificate': None if v.certificate is None else _certificate_record(v.certificate),
         **({} if v.start is None else {'start': v.start.tolist()}),
         **({} if v.tracking is None else {'tracking': tracking_record(v.tracking)}),
+        **({'why': v.why} if v.why else {}),
     }
 
 
@@ -120,7 +122,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         reader.size('disturbance_gain'), read_proof(reader.optional('proof'), k, grade),
         tuple(read_rung(item) for item in reader.objects('ladder')),
         read_noise(reader.optional('noise')), start=_read_start(reader, k),
-        tracking=read_tracking(reader, fault_set, channel, N, l0, m, plant.sample_time))
+        tracking=read_tracking(reader, fault_set, channel, N, l0, m, plant.sample_time),
+        why=reader.text('why') if 'why' in reader.record else '')
     if temporary and v.tracking is None:
         raise reader.fail('tracking', 'is missing: a temporary one needs it')
     certificate = reader.optional('certificate')

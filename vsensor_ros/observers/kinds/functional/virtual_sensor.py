@@ -92,6 +92,7 @@ class VirtualSensor:
     # (k, k) covariance of Phi x - z at the start; None: not known
     start: np.ndarray | None = None
     tracking: Tracking | None = None  # None: nothing to track, or not known how
+    why: str = ''  # it stands there, and what there would be in its place; '': nothing to say
 
     def __post_init__(self) -> None:
         m = len(self.inputs)
