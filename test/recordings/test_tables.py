@@ -49,7 +49,9 @@ def codes(path, **keys):
     ('time,a [degC]\n', '1700000000000000000,1.5\n1700000000100000000,\n'
      '1700000000200000000,2.5\n'),
     ('time,a [degC]\n', '2023-11-14 22:13:20,1.5\n2023-11-14 22:13:20.1,\n'
-     '2023-11-14 22:13:20.2,2.5\n')])
+     '2023-11-14 22:13:20.2,2.5\n'),
+    ('time,a [degC]\n', '2023-11-14T22:13:20Z,1.5\n2023-11-14T23:13:20.1+01:00,\n'
+     '2023-11-14T22:13:20.2Z,2.5\n')])
 def test_a_csv_file_as_people_have_them(tmp_path, head, rows):
     recording = only(written(tmp_path / 'run.csv', head + rows))
     assert list(recording.tracks) == ['a'] and recording.units == {'a': 'degC'}
@@ -104,6 +106,19 @@ def test_a_table_that_was_written_is_read_the_same(tmp_path, suffix):
     write_aligned(path, said, rate=10.0)
     np.testing.assert_array_equal(only(path).tracks['b'].values, [1.0, 1.0, 2.0])
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_an_interrupted_table_leaves_what_was_there(tmp_path, monkeypatch):
+    from pyarrow import parquet
+    path = written(tmp_path / 'table.parquet', 'the old one')
+
+    def interrupted(table, beside):
+        beside.write_bytes(b'half')
+        raise KeyboardInterrupt
+    monkeypatch.setattr(parquet, 'write_table', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_aligned(path, Recording({'a': Track.of([0.0, 0.1], [1.0, 2.0])}))
+    assert path.read_text() == 'the old one' and list(tmp_path.iterdir()) == [path]
 
 
 def test_what_is_suspicious_is_found(tmp_path):

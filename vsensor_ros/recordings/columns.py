@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 import csv
 from dataclasses import dataclass, field
-from datetime import datetime
 from io import StringIO
 from pathlib import Path
 import re
@@ -26,6 +25,7 @@ TIMES = ('time', 't', 'stamp', 'timestamp', 'sec', 'seconds', 'time_s', 'tdat')
 UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}  # ns of one
 PEEKED = 2**16  # bytes of a CSV file that are looked at to know what its columns are
 LARGEST = 2**31  # bytes of a MATLAB file, which is read as a whole
+_DATE = re.compile(r'\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?')
 _LEAST = ((10**16, 'ns'), (10**13, 'us'), (10**10, 'ms'))  # a number of today, since 1970
 
 Chunk = tuple[np.ndarray, dict[str, np.ndarray]]  # stamps (T,) [ns], values (T,) by column
@@ -165,7 +165,8 @@ def _csv(path: Path, clock: Clock) -> Table:
             # of whole times no digit is to be lost
             types[name] = pa.int64() if whole_ones and int(cells[0]) > 10**12 else pa.float64()
         elif all(_is_date(cell) for cell in cells):
-            types[name] = pa.timestamp('ns')
+            zoned = bool(cells) and re.search(r'(Z|[+-]\d\d:?\d\d)$', cells[0]) is not None
+            types[name] = pa.timestamp('ns', 'UTC' if zoned else None)
     numbers = tuple(name for name, of in types.items() if of == pa.float64() or of == pa.int64())
     time = _time_column(path, tuple(types), clock)
 
@@ -202,11 +203,7 @@ def _is_number(cell: str, point: str) -> bool:
 
 
 def _is_date(cell: str) -> bool:
-    try:
-        datetime.fromisoformat(cell)
-    except ValueError:
-        return False
-    return True
+    return _DATE.fullmatch(cell) is not None
 
 
 # -------------------------------------------------------------------------------------- Parquet

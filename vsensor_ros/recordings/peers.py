@@ -17,6 +17,7 @@ from vsensor_ros.recordings.dataset import Windows
 from vsensor_ros.recordings.recording import Recording
 
 ORDERS = (1, 2, 3)
+MOST = 200_000  # rows of a recording that a model is fitted to, evenly over it
 ENOUGH = 10  # rows a parameter that it takes for a fit
 RIDGE = 1e-10  # of the largest singular value: channels that say the same share what they explain
 FAR = 1e3  # times the spread of the channel, from which on a model has run away
@@ -120,6 +121,7 @@ def _fit_arx(grids: Sequence[_Grid], n: int) -> np.ndarray | None:
         rows = rows[rows >= grid.first + n]
         for i in range(1, n + 1):
             rows = rows[grid.usable[rows - i]]
+        rows = rows[::1 + len(rows) // MOST]
         found.append((_lagged(grid, n, rows), grid.y[rows]))
     return _fit(np.vstack([x for x, _ in found]), np.concatenate([y for _, y in found]))
 
@@ -129,11 +131,12 @@ def _trial(grids: Sequence[_Grid], theta: np.ndarray, n: int, count: int) -> flo
     errors = []
     for grid in grids:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], grid.usable.astype(int), [0]])))
-        for begin, end in edges.reshape(-1, 2):
-            length = min(count, int(end - begin) - n)
-            if length > n:
-                said = _run(grid, theta, n, np.array([end - length]), length)[0]
-                errors.append(said - grid.y[end - length:end])
+        begins, ends = edges.reshape(-1, 2).T
+        length = min(count, int((ends - begins).max(initial=0)) - n)
+        if length > n:
+            starts = ends[ends - begins >= length + n] - length
+            there = grid.y[starts[:, None] + np.arange(length)]
+            errors.append((_run(grid, theta, n, starts, length) - there).ravel())
     return float(np.sqrt(np.mean(np.concatenate(errors)**2))) if errors else np.inf
 
 

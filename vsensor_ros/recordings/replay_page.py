@@ -100,9 +100,9 @@ def _picture(window: Window, j: Judgement) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0, 3.2), layout='constrained')
+    figure = Figure(figsize=(5.0, 3.2))
     FigureCanvasSVG(figure)
-    axes = figure.add_subplot()
+    axes = figure.add_axes((0.17, 0.15, 0.8, 0.82))
     times = window.times - window.start
     axes.fill_between(times, window.values - 2 * window.deviations,
                       window.values + 2 * window.deviations, color='tab:blue', alpha=0.2, lw=0)
