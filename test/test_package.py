@@ -17,8 +17,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
-            'recording', 'replacer', 'wire')
+COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor',
+            'player', 'recording', 'replacer', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}
@@ -39,12 +39,13 @@ ARROWS = {  # room: what it may import besides itself
     'lab': LEAVES | {'functions', 'plant', 'observers', 'designer', 'node', 'simulate'},
     'commissioning': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab'},
     'recordings': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab', 'commissioning'},
+    'fitting': LEAVES | {'functions', 'plant', 'recordings'},
     'command': LEAVES | {'plant', 'observers', 'designer', 'control', 'node', 'simulate',
-                         'report', 'lab', 'commissioning', 'recordings'},
+                         'report', 'lab', 'commissioning', 'recordings', 'fitting'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'matplotlib', 'mujoco', 'pandas',
-        'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'sympy',
+        'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'ruamel', 'sympy',
         'threadpoolctl'}  # never on the machine
 
 
@@ -150,6 +151,7 @@ def test_every_import_is_declared():
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
                      setup['options.extras_require']['recordings'],
+                     setup['options.extras_require']['fit'].replace('ruamel.yaml', 'ruamel'),
                      setup['options.extras_require']['tools'],
                      setup['options.extras_require']['mujoco'])
         for line in text.split()

@@ -19,7 +19,7 @@ from vsensor_ros.fitting.windows import Windows
 
 SOFT = 2.0  # deviations from which on a misfit counts by its size
 HUGE = 1e6  # deviations: a simulation that ran away
-FLAT = 1e-9  # relative gain of a step that is none
+ENOUGH = 1e-4  # relative gain of a step after which no other is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Shooting:
             bounded = np.where(missing, np.nan, np.clip(np.nan_to_num(
                 found, nan=HUGE, posinf=HUGE, neginf=-HUGE),
                 -HUGE * self.deviations[:, None], HUGE * self.deviations[:, None]))
-            every = np.stack(slopes, axis=1).reshape(
+            every: np.ndarray = np.stack(slopes, axis=1).reshape(
                 len(windows.run), -1, model.size + len(start.theta))
             every = np.clip(np.nan_to_num(every, nan=0.0, posinf=1e12, neginf=-1e12), -1e12, 1e12)
         z = np.nan_to_num(bounded / self.deviations[:, None]) / SOFT
@@ -105,7 +105,7 @@ class Shooting:
         G: the parameters, then the offsets of each run.
         """
         n, wide = self.model.size, len(self.windows.run)
-        misfit = np.moveaxis(shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
+        misfit: np.ndarray = np.moveaxis(shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
         there = np.isfinite(misfit)
         misfit = np.where(there, misfit, 0.0)
         # with this the gradient is that of the robust cost, and Gauss and Newton's step stays one
@@ -140,7 +140,7 @@ class Shooting:
                     start, shot, damping = tried, new, max(damping / 5.0, 1e-9)
                     break
                 damping *= 5.0
-            if gained < 1e-5:
+            if gained < ENOUGH:
                 break
         return start, shot
 
@@ -153,8 +153,7 @@ class Shooting:
         rows = own.shape[1]
 
         def off(values: np.ndarray) -> np.ndarray:
-            inner = np.swapaxes(q[:, :rows], 1, 2) @ values
-            return inner
+            return np.swapaxes(q[:, :rows], 1, 2) @ values
         inner_common, inner_misfit = off(common), off(misfit[:, :, None])
         gram = np.einsum('wmg,wmh->gh', common, common) - np.einsum(
             'wlg,wlh->gh', inner_common, inner_common)

@@ -3,9 +3,9 @@ Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
 (value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
-interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
-delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
-tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
+interpolation, friction), states (unit, initial, process_noise, range, slow), inputs (unit,
+operating, range, delay, process_noise), disturbances (unit, range, process_noise), sensors
+(measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
 right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with
 nonlinearities (function over w1.., of which combinations of states). Every number may be an
 expression of the parameters. What is wrong gives one BadInput line that names the file, the place
@@ -27,6 +27,7 @@ from vsensor_ros.functions.curve import Curve
 from vsensor_ros.functions.expression import (
     Apply,
     fold,
+    Node,
     Number,
     parse,
     substitute,
@@ -35,7 +36,7 @@ from vsensor_ros.functions.expression import (
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.checked import check_distinct
 from vsensor_ros.plant.dead_time import with_registers
-from vsensor_ros.plant.entries import Entries, TABLE
+from vsensor_ros.plant.entries import DEFINITION, Entries, TABLE
 from vsensor_ros.plant.measurement import measurement
 from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
@@ -108,7 +109,7 @@ def read_plant(file: Entries) -> Plant:
     file.read_parameters(parameters)
     file.read_tables()
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
-        'definitions', ('value', 'unit', *TABLE), 'value'))
+        'definitions', DEFINITION, 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
     initial = np.array([file.number(e.get('initial', 0.0), f'states.{s}.initial')
                         for s, e in states.items()])
