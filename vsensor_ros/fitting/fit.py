@@ -25,7 +25,7 @@ from vsensor_ros.fitting.windows import check_channels, cut, usual_horizon, Wind
 from vsensor_ros.plant.free import FreePlant
 from vsensor_ros.recordings import Recording
 
-FILTERED = 60  # windows at most by which noise is found
+FILTERED = 24  # windows at most by which noise is found
 WHOLE = 4000  # steps of a recording that is filtered whole, at most
 EVERYTHING = 10**9  # readings: more than any window has
 

@@ -77,7 +77,7 @@ def found_noise(model: Model, windows: Windows, theta: np.ndarray, states: np.nd
         values = _unlikelihood(done, lead).reshape(count, wide).mean(axis=1)
         return float(values[0]), (values[1:] - values[0]) / SMALL
     z = minimize(unlikely, first, jac=True, bounds=limits, method='L-BFGS-B',
-                 options={'maxiter': 60, 'ftol': 1e-7}).x
+                 options={'maxiter': 30, 'ftol': 1e-6}).x
     return to_theta(z[:, None])[:, 0], Noise(np.exp(z[moving:moving + n]), np.exp(z[moving + n:]),
                                              guess.known)
 

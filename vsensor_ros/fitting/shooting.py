@@ -18,6 +18,7 @@ from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.windows import Windows
 
 SOFT = 2.0  # deviations from which on a misfit counts by its size
+PATIENCE = 6  # steps that may fail, each shorter than the one before
 HUGE = 1e6  # deviations: a simulation that ran away
 ENOUGH = 1e-4  # relative gain of a step after which no other is made
 
@@ -131,15 +132,15 @@ class Shooting:
         shot, damping = self.shoot(start), 1e-3
         for _ in range(most):
             arrow = self.arrow(start, shot)
-            gained = 0.0
-            while damping < 1e8:
+            for _ in range(PATIENCE):
                 tried = self._moved(start, arrow, damping, bounds, hold)
                 new = self.shoot(tried)
-                if new.cost < shot.cost:
-                    gained = (shot.cost - new.cost) / max(shot.cost, 1e-300)
-                    start, shot, damping = tried, new, max(damping / 5.0, 1e-9)
+                gained = (shot.cost - new.cost) / max(shot.cost, 1e-300)
+                if gained > -ENOUGH:
                     break
-                damping *= 5.0
+                damping *= 10.0
+            if gained > 0.0:
+                start, shot, damping = tried, new, max(damping / 10.0, 1e-7)
             if gained < ENOUGH:
                 break
         return start, shot
