@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from vsensor_ros.fitting.follow import follow, Followed
+from vsensor_ros.fitting.follow import follow, Followed, linearised
 from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.windows import Windows
 
@@ -67,13 +67,17 @@ def found_noise(model: Model, windows: Windows, theta: np.ndarray, states: np.nd
         moved = theta[:, None] + np.zeros((1, z.shape[1]))
         return moved + scale[:, None] * z[:moving] if moving else moved
 
+    # what parameters do stays what it is while these do
+    along = None if moving or model.linear else linearised(
+        model, windows, theta, states, len(first) + 1)
+
     def unlikely(z: np.ndarray) -> tuple[float, np.ndarray]:
         points = z[:, None] + SMALL * np.eye(len(z), len(z) + 1, 1)
         count = points.shape[1]
         every = np.repeat(points, wide, axis=1)
         many = _repeated(windows, count)
         done = follow(model, many, to_theta(every), np.tile(states, count), guess.known,
-                      np.exp(every[moving:moving + n]), np.exp(every[moving + n:]), lead)
+                      np.exp(every[moving:moving + n]), np.exp(every[moving + n:]), lead, along)
         values = _unlikelihood(done, lead).reshape(count, wide).mean(axis=1)
         return float(values[0]), (values[1:] - values[0]) / SMALL
     z = minimize(unlikely, first, jac=True, bounds=limits, method='L-BFGS-B',

@@ -106,7 +106,8 @@ class Shooting:
         G: the parameters, then the offsets of each run.
         """
         n, wide = self.model.size, len(self.windows.run)
-        misfit: np.ndarray = np.moveaxis(shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
+        misfit: np.ndarray = np.moveaxis(
+            shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
         there = np.isfinite(misfit)
         misfit = np.where(there, misfit, 0.0)
         # with this the gradient is that of the robust cost, and Gauss and Newton's step stays one

@@ -5,11 +5,11 @@ Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit
 (value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
 interpolation, friction), states (unit, initial, process_noise, range, slow), inputs (unit,
 operating, range, delay, process_noise), disturbances (unit, range, process_noise), sensors
-(measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
-right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with
-nonlinearities (function over w1.., of which combinations of states). Every number may be an
-expression of the parameters. What is wrong gives one BadInput line that names the file, the place
-and the mend.
+(measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table, interpolation),
+operating_point, and the right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu,
+Cd, D, P with nonlinearities (function over w1.., of which combinations of states). Every number
+may be an expression of the parameters. What is wrong gives one BadInput line that names the file,
+the place and the mend.
 """
 
 from __future__ import annotations
