@@ -17,8 +17,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'isolator', 'monitor', 'player',
-            'recording', 'replacer', 'replay', 'start', 'wire')
+COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor',
+            'player', 'recording', 'replacer', 'replay', 'start', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 
 LEAVES = {'bad_input', 'reason', 'text_file', 'whole_file'}
@@ -41,13 +41,14 @@ ARROWS = {  # room: what it may import besides itself
     'commissioning': LEAVES | {'plant', 'observers', 'engine', 'node', 'lab'},
     'recordings': LEAVES | {'plant', 'observers', 'engine', 'isolator', 'node', 'lab',
                             'commissioning'},
+    'fitting': LEAVES | {'functions', 'plant', 'recordings'},
     'command': LEAVES | {'plant', 'observers', 'designer', 'control', 'node', 'simulate',
                          'report', 'lab', 'commissioning', 'recordings', 'engine', 'isolator',
-                         'first_plant'},
+                         'first_plant', 'fitting'},
 }
 WITH_ROS = {'node', 'lab', 'commissioning', 'command'}  # the only rooms that may import ROS
 DESK = {'clarabel', 'control', 'cvxpy', 'filterpy', 'flint', 'jinja2', 'matplotlib', 'mujoco',
-        'pandas', 'pinocchio', 'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'sympy',
+        'pandas', 'pinocchio', 'pint', 'pooch', 'pyarrow', 'rich', 'rosbags', 'ruamel', 'sympy',
         'threadpoolctl'}  # never on the machine
 
 
@@ -153,6 +154,7 @@ def test_every_import_is_declared():
         for text in (setup['options']['install_requires'],
                      setup['options.extras_require']['designer'],
                      setup['options.extras_require']['recordings'],
+                     setup['options.extras_require']['fit'].replace('ruamel.yaml', 'ruamel'),
                      setup['options.extras_require']['tools'],
                      setup['options.extras_require']['mujoco'],
                      setup['options.extras_require']['urdf'])

@@ -7,24 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsensor_ros.fitting.held_out import (
-    fitted_arx,
-    folds_of,
-    lead_of,
-    Predicted,
-    predicted,
-    together,
-)
+from vsensor_ros.fitting.held_out import crossed, lead_of, Predicted
 from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.noise import found_noise, Noise
 from vsensor_ros.fitting.search import (
+    begun,
     bounds_of,
     first_states,
     Found,
     offset_spreads,
     Progress,
-    refined,
-    restarted,
     search,
 )
 from vsensor_ros.fitting.suspicion import loops, residual_tests
@@ -33,7 +25,7 @@ from vsensor_ros.fitting.windows import check_channels, cut, usual_horizon, Wind
 from vsensor_ros.plant.free import FreePlant
 from vsensor_ros.recordings import Recording
 
-FILTERED = 60  # windows at most by which noise is found
+FILTERED = 24  # windows at most by which noise is found
 WHOLE = 4000  # steps of a recording that is filtered whole, at most
 EVERYTHING = 10**9  # readings: more than any window has
 
@@ -81,9 +73,11 @@ def fit(given: FreePlant, runs: Sequence[Recording], horizon: float | None = Non
     lead = EVERYTHING if model.unknown else lead_of(long)
     followed = noise.follow(model, long, theta, states, lead)
     residuals = followed.errors[:lead]
-    moved, held = _crossed(found, theta, noise, progress)
+    if progress is not None:
+        progress(1, 2, 'without a part')
+    moved, held = crossed(found)
     certain = known(found)
-    spreads = np.maximum(certain.errors, np.abs(moved - theta).max(axis=0))
+    spreads = np.maximum(certain.errors, np.abs(moved - found.start.theta).max(axis=0))
     drifting = np.flatnonzero(model.offsets())
     offsets = [{model.states[i]: float(found.start.states[i, np.argmax(windows.run == run)])
                 for i in drifting} for run in np.unique(windows.run)]
@@ -107,13 +101,12 @@ def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: 
                        - min(t.stamps[0] for t in run.tracks.values())) * 1e-9 for run in runs)
         long = cut(runs, model, min(1.5 * horizon, 0.9 * longest))
         long = long.only(np.unique(np.linspace(0, len(long.run) - 1, FILTERED).astype(int)))
-    states = first_states(model, long) if model.unknown else restarted(
-        model, long.shorter(lead_of(long)), found.start.theta, found.shooting.deviations,
-        hold=True).start.states
+    states = first_states(model, long) if model.unknown else begun(
+        model, long.shorter(lead_of(long)), found.start.theta, found.shooting.deviations).states
     guess = _guess(found)
     theta, noise = found_noise(
         model, long, found.start.theta, states, guess,
-        EVERYTHING if model.unknown else lead_of(long),
+        EVERYTHING if model.unknown else lead_of(long), _resolution(model, runs), _told(model),
         bounds_of(model) if model.unknown else None)
     return theta, noise, long, states
 
@@ -138,25 +131,25 @@ def _guess(found: Found) -> Noise:
     share = np.where(drifting, 0.01, np.where(unknown, 0.1, 0.01))
     period = windows.step if model.period else 1.0
     driven = share * np.maximum(known, 1e-9) / np.sqrt(windows.horizon / period)
-    return Noise(np.maximum(driven, 1e-12), sensors, known)
+    told = _told(model)
+    given = np.zeros(model.size)
+    given[:len(model.given.states)] = model.given.plant.process_noise[:len(model.given.states)]
+    return Noise(np.where(told, given, np.maximum(driven, 1e-12)),
+                 sensors, known)
 
 
-def _crossed(found: Found, theta: np.ndarray, noise: Noise,
-             progress: Progress) -> tuple[np.ndarray, Predicted]:
-    """Return the parameters without each fold (folds, P), and predictions of what was left out."""
-    shooting = found.shooting
-    model, windows = shooting.model, shooting.windows
-    moved, parts = [], []
-    folds = folds_of(windows)
-    order = min(len(model.given.states), 5, lead_of(windows) - 1)
-    for i, out in enumerate(folds):
-        if progress is not None:
-            progress(i, len(folds), 'without a part')
-        if out.all():
-            continue
-        kept = windows.only(~out)
-        without = refined(restarted(model, kept, theta, shooting.deviations, hold=False), 10)
-        moved.append(without.start.theta)
-        parts.append(predicted(model, windows.only(out), without.start.theta,
-                               shooting.deviations, fitted_arx(kept, order), order))
-    return np.array(moved), together(parts)
+def _told(model: Model) -> np.ndarray:
+    """Tell of which offsets (N,) the file says how they drift: windows are too short for that."""
+    noise = model.given.plant.process_noise[:len(model.given.states)]
+    return model.offsets() & np.concatenate([noise > 0.0, np.zeros(len(model.unknown), bool)])
+
+
+def _resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
+    """Return the noise of rounding (l,): the smallest step of what sensors said, over root 12."""
+    found = []
+    for name in model.sensors:
+        steps = np.concatenate([np.abs(np.diff(run.tracks[name].values)) for run in runs
+                                if name in run.tracks])
+        steps = steps[steps > 0.0]
+        found.append(max(float(np.nanmin(steps)) if len(steps) else 0.0, 1e-15) / np.sqrt(12.0))
+    return np.array(found)

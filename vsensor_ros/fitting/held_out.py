@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsensor_ros.fitting.model import Model
-from vsensor_ros.fitting.search import restarted
-from vsensor_ros.fitting.shooting import Shooting, Start
+from vsensor_ros.fitting.search import begun, Found, offset_spreads, without
+from vsensor_ros.fitting.shooting import Shooting
 from vsensor_ros.fitting.windows import Windows
 
 LEAD = 3  # a window's part that is read is one of so many
@@ -25,7 +25,7 @@ BLOCKS = 4  # of a single recording, in time, for cross-validation
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Errors of predictions (J, l, W) at times after the last reading (J,) [s], by who made them."""
+    """Errors (J, l, W) at times after the last reading (J,) [s], by who predicted."""
 
     ages: np.ndarray
     plant: np.ndarray
@@ -56,9 +56,8 @@ def predicted(model: Model, windows: Windows, theta: np.ndarray, deviations: np.
               arx: np.ndarray, order: int) -> Predicted:
     """Predict the rest of windows from their beginnings."""
     lead = lead_of(windows)
-    begun = restarted(model, windows.shorter(lead), theta, deviations, hold=True)
-    whole = Shooting(model, windows, deviations, begun.shooting.spreads)
-    misfits = whole.shoot(Start(theta, begun.start.states)).misfits
+    start = begun(model, windows.shorter(lead), theta, deviations)
+    misfits = Shooting(model, windows, deviations, offset_spreads(model)).shoot(start).misfits
     last = windows.readings[lead - 1]
     return Predicted(windows.times[lead:] - windows.times[lead - 1], misfits[lead:],
                      np.where(np.isfinite(windows.readings[lead:]),
@@ -66,7 +65,21 @@ def predicted(model: Model, windows: Windows, theta: np.ndarray, deviations: np.
                      _arx_errors(windows, arx, order, lead))
 
 
-def together(parts: Sequence[Predicted]) -> Predicted:
+def crossed(found: Found) -> tuple[np.ndarray, Predicted]:
+    """Return the parameters without each fold (folds, P), and predictions of what was left out."""
+    model, windows = found.shooting.model, found.shooting.windows
+    deviations = found.shooting.deviations
+    order = min(len(model.given.states), 5, lead_of(windows) - 1)
+    moved, parts = [], []
+    for out in folds_of(windows):
+        kept = without(found, out)
+        moved.append(kept.start.theta)
+        parts.append(predicted(model, windows.only(out), kept.start.theta, deviations,
+                               fitted_arx(kept.shooting.windows, order), order))
+    return np.array(moved), _together(parts)
+
+
+def _together(parts: Sequence[Predicted]) -> Predicted:
     """Return the predictions of all folds as one."""
     return Predicted(parts[0].ages, *(np.concatenate([getattr(p, name) for p in parts], axis=2)
                                       for name in ('plant', 'held', 'arx')))

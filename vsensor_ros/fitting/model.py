@@ -130,22 +130,26 @@ class Model:
 
     def _friction(self, x: Moved, u: np.ndarray, theta: np.ndarray, h: float) -> Moved:
         """Return the values of the signs (S, W) in this step."""
-        now = self._along(self._rubbing, x, self._point(x.value, u, theta))
-        taken = Moved(np.sign(now.value), np.zeros_like(now.slopes))
+        wide = x.value.shape[1]
+        now = self._rubbing.values(self._point(x.value, u, theta))
+        taken = Moved(np.sign(now), np.zeros((wide, len(now), x.slopes.shape[2])))
+        both = Moved(*(np.concatenate([part] * 2, axis=axis) for part, axis in zip(x, (1, 0))))
+        u, theta = np.tile(u, 2), theta if theta.ndim == 1 else np.tile(theta, 2)
         for i in range(len(self._signs)):
-            ends = []
-            for value in (0.0, 1.0):
-                taken.value[i], taken.slopes[:, i] = value, 0.0
-                later = _ahead(x, self._rates(x, u, theta, taken), h)
-                w = self._along(self._rubbing, later, self._point(later.value, u, theta))
-                ends.append(Moved(w.value[i], w.slopes[:, i]))
+            tried = Moved(*(np.concatenate([part] * 2, axis=axis)
+                            for part, axis in zip(taken, (1, 0))))
+            tried.value[i], tried.slopes[:, i] = np.repeat([0.0, 1.0], wide), 0.0
+            later = _ahead(both, self._rates(both, u, theta, tried), h)
+            w = self._along(self._rubbing, later, self._point(later.value, u, theta))
+            ends = [Moved(w.value[i, part], w.slopes[part, i])
+                    for part in (slice(wide), slice(wide, None))]
             free, push = ends[0], Moved(*(b - a for a, b in zip(*ends)))
             brakes = push.value < 0.0
             slower = np.where(brakes, push.value, -1.0)
             held = -free.value / slower
             slope = -(free.slopes + held[:, None] * push.slopes) / slower[:, None]
             rests = brakes & (np.abs(held) < 1.0)
-            taken.value[i] = np.where(brakes, np.clip(held, -1.0, 1.0), np.sign(now.value[i]))
+            taken.value[i] = np.where(brakes, np.clip(held, -1.0, 1.0), np.sign(now[i]))
             taken.slopes[:, i] = np.where(rests[:, None], slope, 0.0)
         return taken
 

@@ -9,13 +9,12 @@ input did is not to be told from what they did by a simulation, since it does no
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 
-from vsensor_ros.fitting.follow import follow, Followed
+from vsensor_ros.fitting.follow import follow, Followed, linearised
 from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.windows import Windows
 
@@ -44,25 +43,33 @@ class Noise:
 
 
 def found_noise(model: Model, windows: Windows, theta: np.ndarray, states: np.ndarray,
-                guess: Noise, lead: int,
+                guess: Noise, lead: int, least: np.ndarray, kept: np.ndarray,
                 bounds: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, Noise]:
     """
     Return parameters and the likeliest noise; without bounds parameters stay what they are.
 
-    states (N, W): where windows begin; lead: readings that the filter takes; the rest is lost.
+    states (N, W): where windows begin; lead: readings that the filter takes; the rest is lost;
+    least (l,): noise of sensors that they have for certain; kept (N,): states whose noise is told.
     """
     moving = len(theta) if bounds is not None else 0
     n, wide = model.size, states.shape[1]
     first = np.concatenate([np.zeros(moving), np.log(guess.driven), np.log(guess.sensors)])
-    limits = [(value - WIDE, value + WIDE) for value in first[moving:]]
-    to_theta: Callable[[np.ndarray], np.ndarray] = lambda z: theta[:, None] + 0.0 * z[:1]
+    limits = [(value - WIDE * free, value + WIDE * free)
+              for value, free in zip(first[moving:], [*~kept, *np.ones(len(guess.sensors), bool)])]
+    limits[n:] = [(max(low, np.log(floor)), max(high, np.log(floor)))
+                  for (low, high), floor in zip(limits[n:], least)]
+    low, high = bounds if bounds is not None else (theta, theta)
+    scale = np.where(theta != 0.0, np.abs(theta), 0.1 * (high - low))
     if bounds is not None:
-        low, high = bounds
-        scale = np.where(theta != 0.0, np.abs(theta), 0.1 * (high - low))
         limits = [*zip((low - theta) / scale, (high - theta) / scale), *limits]
 
-        def to_theta(z: np.ndarray) -> np.ndarray:
-            return theta[:, None] + scale[:, None] * z[:moving]
+    def to_theta(z: np.ndarray) -> np.ndarray:
+        moved = theta[:, None] + np.zeros((1, z.shape[1]))
+        return moved + scale[:, None] * z[:moving] if moving else moved
+
+    # what parameters do stays what it is while these do
+    along = None if moving or model.linear else linearised(
+        model, windows, theta, states, len(first) + 1)
 
     def unlikely(z: np.ndarray) -> tuple[float, np.ndarray]:
         points = z[:, None] + SMALL * np.eye(len(z), len(z) + 1, 1)
@@ -70,11 +77,11 @@ def found_noise(model: Model, windows: Windows, theta: np.ndarray, states: np.nd
         every = np.repeat(points, wide, axis=1)
         many = _repeated(windows, count)
         done = follow(model, many, to_theta(every), np.tile(states, count), guess.known,
-                      np.exp(every[moving:moving + n]), np.exp(every[moving + n:]), lead)
+                      np.exp(every[moving:moving + n]), np.exp(every[moving + n:]), lead, along)
         values = _unlikelihood(done, lead).reshape(count, wide).mean(axis=1)
         return float(values[0]), (values[1:] - values[0]) / SMALL
     z = minimize(unlikely, first, jac=True, bounds=limits, method='L-BFGS-B',
-                 options={'maxiter': 60, 'ftol': 1e-7}).x
+                 options={'maxiter': 30, 'ftol': 1e-6}).x
     return to_theta(z[:, None])[:, 0], Noise(np.exp(z[moving:moving + n]), np.exp(z[moving + n:]),
                                              guess.known)
 

@@ -64,3 +64,23 @@ def put(content: Any, section: str, name: str, numbers: Mapping[str, float],
             entry[key] = value
         else:
             entry.insert(1 if key == 'spread' else len(entry), key, value)
+
+
+def with_structure(content: Any, other: Mapping[str, Any]) -> None:
+    """Take definitions and parameters of another content, where these differ."""
+    from ruamel.yaml.comments import CommentedMap
+
+    def flow(entry: Any) -> Any:
+        made = CommentedMap({key: list(v) if isinstance(v, list) else v
+                             for key, v in entry.items()})
+        made.fa.set_flow_style()
+        return made
+    for name, entry in other.get('definitions', {}).items():
+        if isinstance(entry, dict) and content['definitions'][name].get('value') != entry['value']:
+            content['definitions'][name]['value'] = entry['value']
+    parameters = content.setdefault('parameters', CommentedMap())
+    for name in [name for name in parameters if name not in other['parameters']]:
+        del parameters[name]
+    for name, entry in other['parameters'].items():
+        if name not in parameters:
+            parameters[name] = flow(entry)

@@ -1,9 +1,9 @@
-"""From a plant file and recordings to parameters: starts, more and more of each window, weights."""
+"""From recordings to parameters: starts, more and more of each window, weights."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,11 +110,18 @@ def spread_of(misfits: np.ndarray, before: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(sizes), np.clip(sizes, 1e-6 * before, 1e6 * before), before)
 
 
-def restarted(model: Model, windows: Windows, theta: np.ndarray, deviations: np.ndarray,
-              hold: bool) -> Found:
-    """Find starts of these windows, and parameters near these unless they are held."""
-    return _grown(model, windows, Start(theta, first_states(model, windows)), SHARES,
-                  bounds_of(model), deviations, hold)
+def without(found: Found, out: np.ndarray, most: int = 8) -> Found:
+    """Go on without some windows (W,), from where the whole fit ended."""
+    shooting, start = found.shooting, found.start
+    kept = replace(shooting, windows=shooting.windows.only(~out))
+    return Found(kept, *kept.solve(Start(start.theta, start.states[:, ~out]),
+                                   bounds_of(shooting.model), most))
+
+
+def begun(model: Model, windows: Windows, theta: np.ndarray, deviations: np.ndarray) -> Start:
+    """Find where windows begin, with the parameters known."""
+    return _grown(model, windows, Start(theta, first_states(model, windows)), (0.3, 1.0),
+                  bounds_of(model), deviations, hold=True).start
 
 
 def _grown(model: Model, windows: Windows, start: Start, shares: Sequence[float],
@@ -125,8 +132,8 @@ def _grown(model: Model, windows: Windows, start: Start, shares: Sequence[float]
         deviations = first_deviations(model, windows)
     count = len(windows.readings)
     for i, share in enumerate(shares):
-        shooting = Shooting(model, windows.shorter(max(int(share * (count - 1)) + 1, min(count, 4))),
-                            deviations, offset_spreads(model))
+        seen = max(int(share * (count - 1)) + 1, min(count, 4))
+        shooting = Shooting(model, windows.shorter(seen), deviations, offset_spreads(model))
         start, shot = shooting.solve(start, bounds, 8 if i == 0 else 20, hold or i == 0)
     return Found(shooting, start, shot)
 

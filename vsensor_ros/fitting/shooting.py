@@ -18,8 +18,9 @@ from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.windows import Windows
 
 SOFT = 2.0  # deviations from which on a misfit counts by its size
+PATIENCE = 6  # steps that may fail, each shorter than the one before
 HUGE = 1e6  # deviations: a simulation that ran away
-FLAT = 1e-9  # relative gain of a step that is none
+ENOUGH = 1e-4  # relative gain of a step after which no other is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ class Shooting:
             bounded = np.where(missing, np.nan, np.clip(np.nan_to_num(
                 found, nan=HUGE, posinf=HUGE, neginf=-HUGE),
                 -HUGE * self.deviations[:, None], HUGE * self.deviations[:, None]))
-            every = np.stack(slopes, axis=1).reshape(
+            every: np.ndarray = np.stack(slopes, axis=1).reshape(
                 len(windows.run), -1, model.size + len(start.theta))
             every = np.clip(np.nan_to_num(every, nan=0.0, posinf=1e12, neginf=-1e12), -1e12, 1e12)
         z = np.nan_to_num(bounded / self.deviations[:, None]) / SOFT
@@ -105,7 +106,8 @@ class Shooting:
         G: the parameters, then the offsets of each run.
         """
         n, wide = self.model.size, len(self.windows.run)
-        misfit = np.moveaxis(shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
+        misfit: np.ndarray = np.moveaxis(
+            shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
         there = np.isfinite(misfit)
         misfit = np.where(there, misfit, 0.0)
         # with this the gradient is that of the robust cost, and Gauss and Newton's step stays one
@@ -131,16 +133,16 @@ class Shooting:
         shot, damping = self.shoot(start), 1e-3
         for _ in range(most):
             arrow = self.arrow(start, shot)
-            gained = 0.0
-            while damping < 1e8:
+            for _ in range(PATIENCE):
                 tried = self._moved(start, arrow, damping, bounds, hold)
                 new = self.shoot(tried)
-                if new.cost < shot.cost:
-                    gained = (shot.cost - new.cost) / max(shot.cost, 1e-300)
-                    start, shot, damping = tried, new, max(damping / 5.0, 1e-9)
+                gained = (shot.cost - new.cost) / max(shot.cost, 1e-300)
+                if gained > -ENOUGH:
                     break
-                damping *= 5.0
-            if gained < 1e-5:
+                damping *= 10.0
+            if gained > 0.0:
+                start, shot, damping = tried, new, max(damping / 10.0, 1e-7)
+            if gained < ENOUGH:
                 break
         return start, shot
 
@@ -153,8 +155,7 @@ class Shooting:
         rows = own.shape[1]
 
         def off(values: np.ndarray) -> np.ndarray:
-            inner = np.swapaxes(q[:, :rows], 1, 2) @ values
-            return inner
+            return np.swapaxes(q[:, :rows], 1, 2) @ values
         inner_common, inner_misfit = off(common), off(misfit[:, :, None])
         gram = np.einsum('wmg,wmh->gh', common, common) - np.einsum(
             'wlg,wlh->gh', inner_common, inner_common)

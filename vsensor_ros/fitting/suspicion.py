@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -47,9 +47,9 @@ def loops(windows: Windows, sensors: Sequence[str], inputs: Sequence[str]) -> li
     return said
 
 
-def _columns(rows: object) -> np.ndarray:
+def _columns(rows: Iterable[Sequence[np.ndarray]]) -> np.ndarray:
     """Return regressors (.., columns) of lists of arrays (columns, W)."""
-    return np.concatenate([np.concatenate(list(row)).T for row in rows])  # type: ignore[attr-defined]
+    return np.concatenate([np.concatenate(row).T for row in rows])
 
 
 def _left(regressors: np.ndarray, of: np.ndarray) -> float:
@@ -80,7 +80,7 @@ def residual_tests(residuals: np.ndarray, windows: Windows, sensors: Sequence[st
         worst, lag = _largest(e, e, 1)
         if worst > 0.0:
             said.append(f'{sensor}: residuals are not white (correlation {worst:.2f} over '
-                        f'{lag} readings): dynamics or noise of another colour is not in the model')
+                        f'{lag} readings): dynamics, or noise of a colour, are not in the model')
         for j, command in enumerate(inputs):
             worst, lag = _largest(e, u[:, j], 0)
             if worst > 0.0:
@@ -90,7 +90,7 @@ def residual_tests(residuals: np.ndarray, windows: Windows, sensors: Sequence[st
 
 
 def _largest(e: np.ndarray, other: np.ndarray, first: int) -> tuple[float, int]:
-    """Return the largest correlation of e (J, W) with `other` before it, and its lag; 0 if none."""
+    """Return the largest correlation of e (J, W) with an earlier `other`, and its lag."""
     best = 0.0, 0
     centred = other - np.nanmean(other)
     for lag in range(first, min(LAGS, len(e) // 2) + 1):

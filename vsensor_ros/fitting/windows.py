@@ -16,7 +16,6 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.fitting.model import Model
 from vsensor_ros.recordings import Recording, Track
-from vsensor_ros.recordings.recording import BEGIN
 
 GAP = 5.0  # times the usual time between readings: nothing is told in between
 STEPS = 200  # of the simulation in a window, at most
@@ -129,13 +128,14 @@ def cut(runs: Sequence[Recording], model: Model, horizon: float, stride: float |
             owner.append(i)
             starts.append(start)
     if not inputs:
-        raise BadInput('--horizon', '', f'no recording is {horizon:g} s long', 'give a shorter one')
+        raise BadInput('--horizon', '', f'no recording is {horizon:g} s long',
+                       'give a shorter one')
     return Windows(step, every, np.moveaxis(np.array(inputs), 0, 2),
                    np.moveaxis(np.array(readings), 0, 2), np.array(owner), np.array(starts))
 
 
 def _ends(track: Track) -> tuple[float, float]:
-    return float(track.stamps[0] - BEGIN) * 1e-9, float(track.stamps[-1] - BEGIN) * 1e-9
+    return float(track.times[0]), float(track.times[-1])
 
 
 def _held(run: Recording, model: Model, grid: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ def _held(run: Recording, model: Model, grid: np.ndarray) -> np.ndarray:
     found = []
     for name, delay in zip(model.inputs, model.given.plant.input_delay):
         track = run.tracks[name]
-        times = (track.stamps - BEGIN) * 1e-9 + delay
+        times = track.times + delay
         if model.period is not None:
             at = np.searchsorted(times, grid[:-1] + 1e-6, side='right') - 1
             found.append(track.values[np.maximum(at, 0)])
@@ -160,17 +160,18 @@ def _held(run: Recording, model: Model, grid: np.ndarray) -> np.ndarray:
 def _read(run: Recording, model: Model, grid: np.ndarray) -> np.ndarray:
     """Return the readings (J, l) at times [s]."""
     plant = model.given.plant
-    found = []
+    found: list[np.ndarray] = []
     for name, turn, delay in zip(model.sensors, plant.wrap, model.given.late):
         if name not in run.tracks:
             found.append(np.full(len(grid), np.nan))
             continue
         track = run.tracks[name]
-        values = track.values if np.isnan(turn) else np.unwrap(track.values, period=turn)
-        at = BEGIN + (grid + delay) * 1e9
-        read = np.interp(at, track.stamps, values, np.nan, np.nan)
-        after = np.clip(np.searchsorted(track.stamps, at), 1, len(track.stamps) - 1)
-        gaps = np.diff(track.stamps)
+        at, there = grid + delay, np.isfinite(track.values)
+        times, values = track.times[there], track.values[there]
+        values = values if np.isnan(turn) else np.unwrap(values, period=turn)
+        read = np.interp(at, times, values, np.nan, np.nan)
+        after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+        gaps = np.diff(times)
         read[gaps[after - 1] > GAP * np.median(gaps)] = np.nan
         found.append(read)
     return np.array(found).T

@@ -35,6 +35,7 @@ from vsensor_ros.plant.units import NOT_INSTALLED, registry, Units
 LARGEST_SECTION = 1000   # states, inputs, ...; keeps a forged file from eating the memory
 _SECONDS = {'us': 1e-6, 'ms': 1e-3, 's': 1.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
 TABLE = ('table', 'interpolation')
+DEFINITION = ('value', 'unit', 'friction', *TABLE)
 _MOST_PARTS, _DEEPEST = 2000, 60  # of an expression with its definitions written out
 _MOST_IN_ALL = 20_000  # parts of all definitions
 _SHAPES = {'linear': 'table', 'cubic': 'smooth_table'}
@@ -249,7 +250,7 @@ class Entries:
 
     def read_definitions(self, variables: Sequence[str]) -> None:
         """Read intermediate expressions; a later one may use earlier ones."""
-        section = self.section('definitions', ('value', 'unit', *TABLE), 'value')
+        section = self.section('definitions', DEFINITION, 'value')
         for name, entry in section.items():
             place = f'definitions.{name}'
             text = self.required(entry, 'value', place, 'write what it is')
@@ -274,6 +275,20 @@ class Entries:
                 self.written[name] = node
             self.definitions[name] = whole
             self.extents[name] = self.extent(whole, place)
+
+    def friction(self, given: Any, key: str,
+                 ranges: Mapping[str, float]) -> tuple[str, float, float]:
+        """Read what a friction opposes, how large it gets, and how fast that (by default) gets."""
+        said = self.mapping(given, key, ('speed', 'most', 'fastest'))
+        speed, mend = str(said.get('speed')), 'write {speed: NAME, most: SIZE, fastest: SPEED}'
+        if speed not in ranges:
+            raise self.fail(f'{key}.speed', f'{shown(speed)} is no state', mend)
+        sizes = {what: self.number(said[what], f'{key}.{what}')
+                 for what in ('most', 'fastest') if what in said}
+        most, fastest = sizes.get('most', 0.0), sizes.get('fastest', ranges[speed])
+        if not most > 0.0 or not 0.0 < fastest < math.inf:
+            raise self.fail(key, 'does not say how large it gets, and how fast it turns', mend)
+        return speed, most, fastest
 
     def tabled(self, node: Node, entry: Mapping[str, Any], place: str) -> Node:
         """Return the lookup table of a node, where there is one; else itself."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from vsensor_ros.functions.expression import Apply, fold, names, Node, Number, substitute
-from vsensor_ros.plant.entries import Entries
+from vsensor_ros.plant.entries import DEFINITION, Entries
 from vsensor_ros.plant.load import in_its_unit, read_plant, TOP
 from vsensor_ros.plant.plant import Plant
 
@@ -39,11 +42,16 @@ class FreePlant:
     measures: tuple[Node, ...]
     free: tuple[Free, ...]
     late: tuple[float, ...]
+    seconds: float = 1.0  # of the file's unit of time
 
 
-def load_free(path: str | Path) -> FreePlant:
-    """Read a plant file for a fit; raise BadInput, one line, where nothing in it is free."""
-    file = Entries(path, TOP)
+def load_free(path: str | Path, content: dict[str, Any] | None = None) -> FreePlant:
+    """
+    Read a plant file for a fit, or its content in place of what stands in it.
+
+    Raises BadInput, one line, where nothing in it is free.
+    """
+    file = Entries(path, TOP, content)
     plant = read_plant(file)
     section = file.section('parameters', ('value', 'unit', 'spread', 'fit'), 'value')
     fits = file.fits(section)
@@ -78,7 +86,7 @@ def load_free(path: str | Path) -> FreePlant:
                             'leave it out')
     return FreePlant(plant, states, tuple(dynamics), tuple(measures), tuple(
         Free(name, plant.parameters[name], *ends, section[name].get('unit', ''))
-        for name, ends in fits.items()), tuple(late))
+        for name, ends in fits.items()), tuple(late), unit)
 
 
 def _moving(file: Entries, section: dict[str, dict[str, object]],
@@ -94,3 +102,17 @@ def _moving(file: Entries, section: dict[str, dict[str, object]],
                 fixed = {n: v for n, v in file.parameters.items() if n not in moving}
                 moving[name] = fold(substitute(substitute(node, moving), fixed))
     return moving
+
+
+def frictions(path: str | Path) -> dict[str, tuple[str, float, float]]:
+    """
+    Return which definitions of a plant file are friction: of which state, how large, how fast.
+
+    Raises BadInput, one line.
+    """
+    file = Entries(path, TOP)
+    plant = read_plant(file)
+    fastest = dict(zip(plant.states, np.abs(plant.ranges).max(axis=1).tolist()))
+    return {name: file.friction(entry['friction'], f'definitions.{name}.friction', fastest)
+            for name, entry in file.section('definitions', DEFINITION, 'value').items()
+            if 'friction' in entry}

@@ -3,13 +3,13 @@ Read a plant file (YAML).
 
 Keys: name, description, time (continuous, or {sample_time: seconds}), time_unit, parameters
 (value, unit, spread, fit), tables (points, interpolation), definitions (value, unit, table,
-interpolation), states (unit, initial, process_noise, range, slow), inputs (unit, operating, range,
-delay, process_noise), disturbances (unit, range, process_noise), sensors (measures, unit, noise,
-tolerance, wrap, delay, stamp_offset, rate, table, interpolation), operating_point, and the
-right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu, Cd, D, P with
-nonlinearities (function over w1.., of which combinations of states). Every number may be an
-expression of the parameters. What is wrong gives one BadInput line that names the file, the place
-and the mend.
+interpolation, friction), states (unit, initial, process_noise, range, slow), inputs (unit,
+operating, range, delay, process_noise), disturbances (unit, range, process_noise), sensors
+(measures, unit, noise, tolerance, wrap, delay, stamp_offset, rate, table, interpolation),
+operating_point, and the right-hand side: dynamics, one equation a state, or matrices A, B, C, Cu,
+Cd, D, P with nonlinearities (function over w1.., of which combinations of states). Every number
+may be an expression of the parameters. What is wrong gives one BadInput line that names the file,
+the place and the mend.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from vsensor_ros.functions.expression import (
 from vsensor_ros.functions.nonlinearity import argument_names, make_term
 from vsensor_ros.plant.checked import check_distinct
 from vsensor_ros.plant.dead_time import with_registers
-from vsensor_ros.plant.entries import Entries, TABLE
+from vsensor_ros.plant.entries import DEFINITION, Entries, TABLE
 from vsensor_ros.plant.measurement import Measured, measurement
 from vsensor_ros.plant.plain_name import plain_name
 from vsensor_ros.plant.plant import Plant
@@ -115,7 +115,7 @@ def read_plant(file: Entries) -> Plant:
     file.read_parameters(parameters)
     file.read_tables()
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
-        'definitions', ('value', 'unit', *TABLE), 'value'))
+        'definitions', DEFINITION, 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
     unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances))
     disturbances |= {rate: {'process_noise': 0.0} for rate in unwritten.values()}

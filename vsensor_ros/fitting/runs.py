@@ -1,0 +1,39 @@
+"""The recordings of a fit: read from dataset files or tables, and parts of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from vsensor_ros.bad_input import BadInput
+from vsensor_ros.recordings import Dataset, load_dataset, Recording, Track
+
+DATASET = ('.yaml', '.yml')
+
+
+def read_runs(paths: Sequence[Path], first: float = 0.0, last: float = float('inf'),
+              ) -> tuple[Recording, ...]:
+    """
+    Read dataset files, and tables whose columns are called as the channels are.
+
+    first, last: the part of each that is taken [s from its start on]. Raises BadInput.
+    """
+    runs: list[Recording] = []
+    for path in paths:
+        runs.extend(load_dataset(path) if path.suffix in DATASET
+                    else Dataset((path.absolute(),)).load())
+    return tuple(part(run, first, last) for run in runs)
+
+
+def part(run: Recording, first: float, last: float) -> Recording:
+    """Return what was said from `first` to `last` [s]; raise BadInput where that is nothing."""
+    tracks = {}
+    for name, track in run.tracks.items():
+        inside = (track.times >= first) & (track.times < last)
+        if inside.sum() > 1:
+            tracks[name] = Track(track.stamps[inside], track.values[inside], track.origin)
+    if not tracks:
+        raise BadInput(run.name or 'recording', '', f'says nothing from {first:g} to {last:g} s',
+                       f'it is {run.seconds:.4g} s long')
+    return replace(run, tracks=tracks)
