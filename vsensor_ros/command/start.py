@@ -8,8 +8,20 @@ from pathlib import Path
 import sys
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.first_plant import filled, templates, write_plant
+from vsensor_ros.first_plant import (
+    Arm,
+    arm_plant,
+    checked_name,
+    filled,
+    number,
+    templates,
+    urdf_plant,
+    write_plant,
+)
+from vsensor_ros.first_plant.arm import GRAVITY
 from vsensor_ros.lab.config_folder import config_folder
+
+ARM = 'arm'
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,8 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.what is None:
             print(_listed(folder))
             return 0
-        text = filled(folder, options.what, options.name, _values(options.set))
-        plant = write_plant(text, options.output, options.force)
+        plant = write_plant(_text(folder, options), options.output, options.force)
     except BadInput as error:
         print(f'start: {error}', file=sys.stderr)
         return 2
@@ -38,14 +49,52 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='start', description='Write a plant file to begin with. Without arguments: list what '
         'there is to begin with.')
-    parser.add_argument('what', metavar='WHAT', nargs='?', help='a template')
+    parser.add_argument('what', metavar='WHAT', nargs='?',
+                        help=f"a template, '{ARM}', or a URDF file")
     parser.add_argument('--name', help='of the plant (default: that of the template)')
     parser.add_argument('--set', metavar='PARAMETER=VALUE', action='append', default=[],
-                        help='value of a parameter; may be given several times')
+                        help='value of a parameter of a template; may be given several times')
+    arm = parser.add_argument_group(ARM, 'a planar arm; numbers with commas between, one a link')
+    arm.add_argument('--masses', metavar='KG', type=_numbers, default=[])
+    arm.add_argument('--lengths', metavar='M', type=_numbers, default=[])
+    arm.add_argument('--centres', metavar='M', type=_numbers, default=[],
+                     help='of mass from the joints (default: the middle)')
+    arm.add_argument('--inertias', metavar='KG_M2', type=_numbers, default=[],
+                     help='about these centres (default: of slender rods)')
+    arm.add_argument('--gravity', metavar='M_S2', type=float, default=GRAVITY,
+                     help='0 where the axes are vertical (default: %(default)s)')
+    urdf = parser.add_argument_group('URDF')
+    urdf.add_argument('--base', metavar='LINK', help='first link (default: the root)')
+    urdf.add_argument('--tip', metavar='LINK', help='last link (default: the only end there is)')
     parser.add_argument('-o', '--output', type=Path, metavar='PLANT', default=Path('plant.yaml'),
                         help='plant file to write (default: %(default)s)')
     parser.add_argument('--force', action='store_true', help='overwrite the output')
     return parser.parse_args(arguments)
+
+
+def _text(folder: Path, options: argparse.Namespace) -> str:
+    """Return the plant file that is asked for."""
+    of_arm = [options.masses, options.lengths, options.centres, options.inertias]
+    is_urdf = Path(options.what).suffix in ('.urdf', '.xml', '.xacro')
+    for given, belongs, options_ in ((any(of_arm), options.what == ARM, '--masses ..'),
+                                     (options.base or options.tip, is_urdf, '--base and --tip'),
+                                     (options.set, options.what in templates(folder), '--set')):
+        if given and not belongs:
+            raise BadInput('', options_, f'does not go with {options.what}', 'leave it out')
+    if options.what == ARM:
+        return arm_plant(Arm(*of_arm, options.gravity), checked_name(options.name or ARM))
+    if is_urdf:
+        return urdf_plant(Path(options.what), options.base, options.tip,
+                          options.name and checked_name(options.name))
+    return filled(folder, options.what, options.name, _values(options.set))
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [number(part, 'the list') for part in text.split(',')]
+    except BadInput:
+        raise argparse.ArgumentTypeError(
+            f'{text!r} is not numbers with commas between') from None
 
 
 def _folder() -> Path:
@@ -57,7 +106,9 @@ def _folder() -> Path:
 
 
 def _listed(folder: Path) -> str:
-    known = templates(folder)
+    known = {**templates(folder),
+             ARM: 'Planar arm of n joints: --masses 1.2,0.8 --lengths 0.3,0.25',
+             'FILE.urdf': 'Chain of joints of a URDF: --base LINK --tip LINK'}
     width = max(map(len, known))
     return '\n'.join(['start WHAT [--name NAME] [--set PARAMETER=VALUE] -o plant.yaml', '',
                       *(f'{name:{width}}  {sentence}' for name, sentence in known.items())])

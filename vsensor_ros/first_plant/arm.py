@@ -16,6 +16,9 @@ from vsensor_ros.first_plant.elimination import solved
 
 MOST = 9  # joints, so that their numbers are digits
 GRAVITY = 9.81
+# s, until friction has taken most of the speed of a link alone: a guess. Of a light one beyond a
+# heavy one it must not be so large that a step of 10 ms is too long
+COASTS = 0.1
 
 
 @dataclass(frozen=True)
@@ -61,16 +64,18 @@ time: continuous
 parameters:
   gravity: {{value: {arm.gravity!r}, unit: m/s^2}}     # 0 where the axes are vertical
   # speed at which Coulomb friction is about full. Below it friction is a guess
-  creep: {{value: 0.1, unit: rad/s}}
+  creep: {{value: 0.3, unit: rad/s}}
   # mass of each link with the motor that it carries, its length from joint to joint, how far its
   # centre of mass is from its joint, and its inertia about that centre: CAD, or scale and tape.
   # viscous: torque a rad/s; coulomb: what is left at creeping speed. Both are a guess here: drive
   # each joint at several constant speeds, up and down, and draw torque over speed.
   # fit: what a recording can tell; spread: how far off it may be, one standard deviation''']
-    for i, mass, length, centre, inertia in zip(joints, arm.masses, arm.lengths, centres,
-                                                inertias):
-        held = 9.81 * sum(m * length for m, length in zip(arm.masses[i - 1:], arm.lengths[i - 1:]))
-        coulomb, viscous = _round(0.03 * held), _round(0.02 * held)
+    helds = [GRAVITY * sum(m * length for m, length in zip(arm.masses[i:], arm.lengths[i:]))
+             for i in range(n)]  # N m, about what holds the arm stretched out
+    turned = [inertia + m * centre**2 for inertia, m, centre in zip(inertias, arm.masses, centres)]
+    for i, mass, length, centre, inertia, held, much in zip(
+            joints, arm.masses, arm.lengths, centres, inertias, helds, turned):
+        coulomb, viscous = _round(0.01 * held), _round(much / COASTS)
         lines.append(f'''\
   mass{i}: {{value: {mass!r}, unit: kg, fit: {_within(mass, 2)}, spread: {_round(0.03 * mass)!r}}}
   length{i}: {{value: {length!r}, unit: m}}
@@ -83,15 +88,13 @@ spread: {_round(coulomb / 5)!r}}}''')
     lines.append('''\
 states:
   # process_noise: what moves a state besides the equations, per sqrt(s)''')
-    lines += [f'  angle{i}: {{unit: rad, process_noise: 1.0e-5, range: [-3.2, 3.2]}}'
+    lines += [f'  angle{i}: {{unit: rad, process_noise: 1.0e-5, range: [-6.3, 6.3]}}'
               for i in joints]
-    lines += [f'  velocity{i}: {{unit: rad/s, process_noise: 0.05, range: [-10.0, 10.0]}}'
+    lines += [f'  velocity{i}: {{unit: rad/s, process_noise: 0.05, range: [-8.0, 8.0]}}'
               for i in joints]
     lines.append('inputs:')
-    for i in joints:
-        held = _round(9.81 * sum(m * le for m, le in zip(arm.masses[i - 1:], arm.lengths[i - 1:])))
-        lines.append(f'  torque{i}: {{unit: N m, range: [{-held!r}, {held!r}], '
-                     f'process_noise: {_round(0.002 * held)!r}}}')
+    for i, held in zip(joints, helds):
+        lines.append(f'  torque{i}: {{unit: N m, process_noise: {_round(0.002 * held)!r}}}')
     lines.append('definitions:')
     definitions, accelerations = _equations(n)
     lines += [f'  {key}: {text}' for key, text in definitions.items()]

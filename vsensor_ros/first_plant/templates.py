@@ -33,7 +33,7 @@ def filled(folder: Path, template: str, name: str | None = None,
     known = templates(folder)
     if template not in known:
         raise BadInput('', '', f'there is no template {shown(template)}',
-                       suggestion(template, known))
+                       suggestion(template, [*known, 'arm']))
     text = read_text(folder / f'{template}.yaml', '', 'install the package anew', 2**20)
     changes: list[tuple[yaml.Node, str]] = []
     top = _entries(yaml.compose(text, yaml.SafeLoader))

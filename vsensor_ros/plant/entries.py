@@ -147,16 +147,20 @@ class Entries:
             return True
         return False
 
-    def kept_texts(self, used: Iterable[str], named: Iterable[str]) -> list[tuple[str, str]]:
-        """Return the definitions that these names need, as texts with these parameters by name."""
+    def needed(self, used: Iterable[str]) -> list[str]:
+        """Return the definitions that these names need, in order."""
         wanted, found = set(used), []
-        numbers = {name: v for name, v in self.parameters.items() if name not in set(named)}
         for name, node in reversed(self.kept.items()):
             if name in wanted:
                 wanted.update(names(node))
-                found.append((name, to_text(fold(substitute(node, numbers), self.path,
-                                                 f'definitions.{name}'))))
+                found.append(name)
         return found[::-1]
+
+    def kept_texts(self, used: Iterable[str], named: Iterable[str]) -> list[tuple[str, str]]:
+        """Return the definitions that these names need, as texts with these parameters by name."""
+        numbers = {name: v for name, v in self.parameters.items() if name not in set(named)}
+        return [(name, to_text(fold(substitute(self.kept[name], numbers), self.path,
+                                    f'definitions.{name}'))) for name in self.needed(used)]
 
     def raw(self, value: Any) -> Node:
         """Return an expression that was read already with all its names."""

@@ -117,7 +117,8 @@ def read_plant(file: Entries) -> Plant:
     said = file.read_units(states, inputs, disturbances, parameters, file.section(
         'definitions', DEFINITION, 'value'))
     file.read_definitions((*states, *inputs, *disturbances))
-    unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances))
+    unwritten = _too_large(file, tuple(states), tuple(inputs), tuple(disturbances),
+                           any('spread' in entry for entry in parameters.values()))
     disturbances |= {rate: {'process_noise': 0.0} for rate in unwritten.values()}
     if unwritten:
         said.append(f'the equations of {", ".join(unwritten)} are too large to be written out: '
@@ -295,21 +296,31 @@ def _right_hand_side(file: Entries, states: tuple[str, ...], inputs: tuple[str, 
 
 
 def _too_large(file: Entries, states: Sequence[str], inputs: Sequence[str],
-               disturbances: Sequence[str]) -> dict[str, str]:
-    """Return by state whose equation is too large to be written out what stands for its rate."""
+               disturbances: Sequence[str], filters: bool) -> dict[str, str]:
+    """
+    Return by state whose equation is too large to be written out what stands for its rate.
+
+    Those that share definitions with one go with it. filters: these are wanted, and so texts.
+    """
     variables, texts = (*states, *inputs, *disturbances), file.content.get('dynamics')
+    given = {state: text for state, text in texts.items() if state in states
+             and text is not None} if isinstance(texts, dict) else {}
+    named = [name for name in file.parameters if '[' not in name]
 
     def is_too_large(text: Any, key: str) -> bool:
         if file.is_large(text, key, variables):
             return True
         node = file.by_name(text, key, variables)
-        whole = to_text(substitute(node, file.definitions))
-        return len(whole) > MAX_CHARACTERS and not all(
-            _can_be_read(to_text(lifted(core, states, inputs, [], file.definitions)))
-            for _, core in addends(node, file.path, key, file.definitions)[1])
-    return {state: f'{state}_rate' for state, text in texts.items()
-            if state in states and text is not None and is_too_large(
-                text, f'dynamics.{state}')} if isinstance(texts, dict) else {}
+        if len(to_text(substitute(node, file.definitions))) > MAX_CHARACTERS and not all(
+                _can_be_read(to_text(lifted(core, states, inputs, [], file.definitions)))
+                for _, core in addends(node, file.path, key, file.definitions)[1]):
+            return True
+        return filters and bool(file.needed(names(file.raw(text)))) and not _can_be_read(
+            to_text(file.with_names(text, key, named, True)))
+    large = [state for state, text in given.items() if is_too_large(text, f'dynamics.{state}')]
+    shared = {name for state in large for name in file.needed(names(file.raw(given[state])))}
+    return {state: f'{state}_rate' for state, text in given.items() if state in large
+            or not shared.isdisjoint(file.needed(names(file.raw(text))))}
 
 
 def _can_be_read(text: str) -> bool:
@@ -344,8 +355,10 @@ def _equations(file: Entries, states: tuple[str, ...], spreads: Mapping[str, flo
         if all(map(_can_be_read, found)):
             return found, []
     nodes = [right_hand_side(state, False) for state in states]
-    return list(map(to_text, nodes)), file.kept_texts(
-        {name for node in nodes for name in names(node)}, named)
+    found = list(map(to_text, nodes))
+    if not all(map(_can_be_read, found)):
+        return [], []
+    return found, file.kept_texts({name for node in nodes for name in names(node)}, named)
 
 
 def _matrices(file: Entries, states: tuple[str, ...], inputs: tuple[str, ...],
