@@ -15,7 +15,13 @@ from vsensor_ros.lab.injection.case import (
     UNDETECTED,
     WATCHED,
 )
-from vsensor_ros.lab.injection.case_context import CaseContext, CONVERGED, GaveUp, STARTED
+from vsensor_ros.lab.injection.case_context import (
+    CaseContext,
+    CONVERGED,
+    GaveUp,
+    STARTED,
+    STATUS_PERIOD,
+)
 from vsensor_ros.lab.injection.message_cases import TOLD
 from vsensor_ros.lab.injection.sensor_cases import start
 from vsensor_ros.lab.injection.verdict import handovers_of, path_of
@@ -70,7 +76,8 @@ def two_replacers(context: CaseContext) -> None:
             context.play(0.5)
             if trouble := context.end(second):
                 context.wrong.append(f'the second one: {trouble}')
-        context.play(0.3)
+        # the last status may be that of the second one
+        context.play(STATUS_PERIOD + 0.2)
     context.forget_path()
     fail_over(context, lambda: context.fault('freeze'))
 
