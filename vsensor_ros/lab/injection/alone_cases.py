@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 import math
 import signal
 from typing import Any
+
+import numpy as np
 
 from vsensor_ros.lab.injection.alone_context import AloneContext, CALM
 from vsensor_ros.lab.injection.blame import HEALTHY, ISOLATED
@@ -71,11 +74,24 @@ def noise(context: AloneContext) -> None:
     context.fresh = False
 
 
+def _single(context: AloneContext, name: str) -> None:
+    """Leave single ones of a sensor's spikes: nothing tells yet that two in three readings are no bias."""
+    healthy, channel = (said[name] for said in (
+        context.machine.truth.said, context.machine.channels))
+    hit = np.flatnonzero(channel.value != healthy.value)
+    value = channel.value.copy()
+    second = hit[1:][np.diff(hit) <= 2]
+    value[second] = healthy.value[second]
+    context.machine.channels[name] = replace(channel, value=value)
+
+
 def _fail(context: AloneContext, name: str, kind: str, **size: float) -> None:
     """Let a sensor fail, be found and replaced, or not, and come back."""
     context.await_reserve(name)
     context.play(0.2)
     context.fault(kind, name, **size)
+    if kind == 'spikes':
+        _single(context, name)
     if context.injected[-1].kind:
         context.isolate(name)
         context.expect(name, context.tested.serves([name], name))
