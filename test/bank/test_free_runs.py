@@ -302,6 +302,17 @@ def test_it_goes_on_until_its_channel_could_be_lost_anew(bench, made):
     assert not run.bank._runs.flights  # its tracker is by then what serves
 
 
+def test_spikes_before_it_begins_do_not_make_a_fault_usual(bench, made):
+    run = Run(bench, made, 8.0)
+    run.until(3000, lambda k: run.y[k, 0] + 3.0 * (k in (137, 141)))
+    run.until(3600)
+    run.until(3700, lambda k: run.y[k, 0] + 1.0)
+    run.bank.distrust({'angle'})
+    assert run.bank.run(*KEY) == 'from the last good readings'
+    assert run.bank._runs.seed(0).spread < 0.5
+    assert abs(run.bank.disagreement(*KEY).usual) < 0.2
+
+
 def test_the_way_of_a_long_guard_is_gone_at_once(bench, made):
     run = Run(bench, made, 12.0, guard={'angle': 5.0}).until(10_000)
     run.bank.distrust({'angle'})  # 250 steps

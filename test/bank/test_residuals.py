@@ -69,7 +69,7 @@ def test_a_fault_of_its_own_channel_meanwhile_is_in_what_it_starts_from(tanks):
     run.residuals.blame(())
     run.until(450, y2=0.5)  # nobody knows of it
     shown = 0.5 - run.off(410, 450)
-    assert (0.0 < shown).all() and shown[-1] > shown[0]  # it comes out by and by
+    assert (shown > 0.0).all() and shown[-1] > shown[0]  # it comes out by and by
     run.residuals.blame({'y2'})
     run.until(500, y2=0.5).until(520)
     run.residuals.blame(())

@@ -183,6 +183,24 @@ def test_the_onset_of_what_was_always_wrong_is_the_start(servo):
     assert said.value == pytest.approx(x[-1, 1], abs=0.05)
 
 
+def test_a_clear_forgets_what_all_residuals_have_felt_of_the_fault(found):
+    """No residual alarmed of that, which its readings alone showed; the next one is dated anew."""
+    run = Run(found)
+    run.go_on(15.0)
+    frozen = []
+
+    def freeze(readings, time):
+        frozen.append(readings[1])
+        return [readings[0], frozen[0], readings[2]]
+    run.go_on(0.15, freeze)
+    assert [f.kind for f in run.engine.verdict.faults] == ['stuck']
+    watch = run.engine._own._isolator.watch
+    felt = watch.supports[:, SENSORS.index('y2')]
+    assert (watch.detector.filled[felt] > 0).any()
+    run.engine.clear('y2')
+    assert (watch.detector.filled[felt] == 0).all() and watch.detector.filled[~felt].all()
+
+
 def test_it_is_blamed_until_cleared_by_whom_it_is(found):
     run = Run(found)
     run.go_on(15.0)

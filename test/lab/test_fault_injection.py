@@ -133,11 +133,11 @@ def test_the_node_passes(quick, capsys):
 def test_the_node_finds_out_alone(quick, capsys):
     rewrite(quick, lambda own: {'/**': {'ros__parameters': {
         **own['ros__parameters'], 'design_file': 'none'}}})
-    code = main(['--alone', '--only', 'freeze', *quick])
+    code = main(['--alone', '--quick', *quick])
     said = capsys.readouterr().out
     assert code == 0, said
     results = results_of(quick)
-    assert list(results) == ['learning', 'freeze']
+    assert list(results) == ['learning', 'freeze', 'bias']
     if results['freeze']['outcome'] == 'PASS':    # else this computer was too busy to tell
         y1, y2, y3 = results['freeze']['faults']
         assert y1['kind'] == y2['kind'] == y3['kind'] == 'stuck'
@@ -145,6 +145,11 @@ def test_the_node_finds_out_alone(quick, capsys):
         assert max(y2['error'], y3['error']) < 0.05
     else:
         assert 'too busy' in results['freeze']['seen'], said
+    if results['bias']['outcome'] == 'PASS':
+        kinds = {fault['sensor']: fault['kind'] for fault in results['bias']['faults']}
+        assert kinds == {'y1': None, 'y2': 'bias', 'y3': 'bias'}    # no residual feels y1
+    else:
+        assert 'too busy' in results['bias']['seen'], said
 
 
 def test_alone_needs_a_design_with_residuals(quick, capsys):

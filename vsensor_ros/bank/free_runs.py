@@ -24,6 +24,7 @@ _LONGER = 3  # one rehearsal in so many goes on to the next age
 _OUT_OF_LINE = 4.0  # standard deviations: so far nothing drifts by chance
 _BETTER = 0.8  # of the deviation of the run that serves: with less another one takes over
 _INNOVATIONS = 100  # states of a tracker that are looked at, at most
+_MEDIAN = 1.4826  # times the median of what is Gaussian, without its sign, is its deviation
 
 
 # the standard deviation of what a free run says, at an age [s]
@@ -36,7 +37,7 @@ class Seed(NamedTuple):
     tick: int
     z: np.ndarray  # (k,)
     since: int  # tick since which it has not read the channels
-    spread: float  # rms of reading - estimate of the tracker before; NaN when not known
+    spread: float  # deviation of reading - estimate of the tracker before; NaN when not known
 
 
 class FreeRuns:
@@ -250,7 +251,7 @@ class FreeRuns:
         return bool(abs(apart[0]) > _OUT_OF_LINE * stated(i, age))
 
     def _spread(self, i: int, tick: int, past: Sequence[State]) -> float:
-        """Return the rms of the innovations of a tracker up to a tick; NaN when there is none."""
+        """Return the deviation of a tracker's innovations up to a tick; NaN when there is none."""
         own, row = self.tracked[i].own, self._trackers[i]
         output = int(np.flatnonzero(self._batch.of == own)[0])
         sensor = self._batch.own[output]
@@ -264,7 +265,7 @@ class FreeRuns:
             output, np.array([s.z[row] for s in states]), said,
             np.array([s.told.held for s in states]))
         off = self._short_way.of([output])(off[:, None])
-        return float(np.sqrt(np.mean(off**2)))
+        return float(_MEDIAN * np.median(np.abs(off)))  # a spike says nothing of the others
 
 
 def _rehearsals(period: float) -> tuple[int, frozenset[int]]:

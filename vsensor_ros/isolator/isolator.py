@@ -246,8 +246,9 @@ class Isolator:
                                    known.fault.kind in (BIAS, DRIFT, UNKNOWN))
 
     def _forgive(self, j: int, time: int) -> None:
-        gone = self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
-        self.watch.detector.restart(np.array(gone, dtype=np.int64))
+        self._diagnosis.forgive(1 << j, self._lasting(time), self.watch.running())
+        # those that did not alarm have felt it, too
+        self.watch.detector.restart(np.flatnonzero(self.watch.supports[:, j]))
         self._known.pop(j, None)
         self._believed[j] = time
 
