@@ -14,7 +14,7 @@ LEVEL = slice(0, CONTRASTS.start)
 def watch(own=(0, 1, 2, -1)):
     """Return one that has learnt of three channels: a check of each, and a dedicated filter."""
     found = Watch(PERIOD, np.array(own), np.array([[1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]],
-                                                  bool), np.eye(4, 3) + [0.0, 0.0, 0.0],
+                                                  bool), np.eye(4, 3),
                   np.full(4, 0.01), np.array([0, 1, 2]), 1e-7, 0.1)
     found.gains[3, :2] = found.gain[3] = 1.0
     found._single = None
