@@ -49,15 +49,17 @@ def judge(case: Case, machines: int, hours: float, rounds: int, seed: int) -> No
     """Let machines of a plant learn; then healthy hours, faults, and three times the motion."""
     began = time.process_time()
     fleet = Fleet(case, machines, ERROR, seed)
-    told = fleet.healthy(ENOUGH + 60.0)
+    told, _ = fleet.healthy(ENOUGH + 60.0, compare=False)
     say(f'{case.name}, {machines} machines: {len(told)} alarms while learning')
     learnt = fleet.copy()
-    told = fleet.healthy(3600.0 * hours / machines)
-    say(f'  healthy {hours:g} h: {counted(told)}; {len(told) / hours * 24:.2f} a day  (bar: 2)')
+    told, peer = fleet.healthy(3600.0 * hours / machines)
+    say(f'  healthy {hours:g} h: {counted(told)}; {len(told) / hours * 24:.2f} a day  (bar: 2); '
+        f'peer: {counted(peer)}')
     fleet = learnt.copy()
     fleet.machines.motion = 3.0
-    told = fleet.healthy(3600.0 * min(4.0, hours) / machines)
-    say(f'  motion tripled, {min(4.0, hours):g} h: {counted(told)}  (bar: 5 in 4 h)')
+    told, peer = fleet.healthy(3600.0 * min(4.0, hours) / machines)
+    say(f'  motion tripled, {min(4.0, hours):g} h: {counted(told)}  (bar: 5 in 4 h); '
+        f'peer: {counted(peer)}')
     random = np.random.default_rng(seed)
     sensors = [fleet.sensors.index(name) for name in case.isolable]
     for kind, least, largest, seconds, within in CAMPAIGNS:
@@ -74,7 +76,7 @@ def judge(case: Case, machines: int, hours: float, rounds: int, seed: int) -> No
 
 
 def counted(told: Sequence[tuple[float, int, str]]) -> str:
-    """Return how often which state was told."""
+    """Return how many alarms were of which state."""
     states = [state for _, _, state in told]
     machines = len({machine for _, machine, _ in told})
     return ', '.join([*(f'{states.count(state)} {state}' for state in sorted(set(states))),

@@ -26,6 +26,10 @@ class Peer:
         self.p = np.tile(self.q * 10, (m, 1, 1))
         self.rejected = np.zeros((m, len(case.noise)), dtype=np.int64)
 
+    def start(self, machine: int, state: Floats) -> None:
+        """Let the filter of a machine start anew, in this state (n,)."""
+        self.x[machine], self.p[machine], self.rejected[machine] = state, self.q * 10, 0
+
     def step(self, readings: Floats, commands: Floats) -> np.ndarray:
         """Go on to these readings (m, l); return who is blamed (m, l)."""
         m, n = self.x.shape

@@ -16,6 +16,10 @@ from vsensor_ros.isolator.recovery import Recovery
 from vsensor_ros.isolator.watch import Watch
 
 WANTED = 1 / 86400.0  # false alarms a second, of one machine
+CLEARED = 60.0  # s after an alarm, when somebody says that the machine is healthy
+GRAVE = ('suspected', 'model', 'blamed')  # states, the gravest last
+
+Told = tuple[float, int, str]  # s, machine, state
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,35 @@ class Outcome:
     believed: int  # that would have been believed again, while the fault still was there
     peer_sensor: NDArray[np.int64]  # whom the peer blamed first
     peer_time: Floats  # s since the fault
+
+
+class Alarms:
+    """False alarms of many machines, each counted once."""
+
+    def __init__(self) -> None:
+        self.open: dict[int, tuple[float, str]] = {}  # machine: since when, the gravest state
+        self.over: list[Told] = []
+
+    def take(self, now: float, machine: int, state: str) -> bool:
+        """Take what is said of a machine, '': nothing; tell whether it is cleared now."""
+        if state:
+            since, known = self.open.get(machine, (now, state))
+            self.open[machine] = since, max(known, state, key=GRAVE.index)
+        cleared = bool(state) and now - self.open[machine][0] >= CLEARED
+        if cleared or not state and machine in self.open:
+            since, known = self.open.pop(machine)
+            self.over.append((since, machine, known))
+        return cleared
+
+    def all(self) -> list[Told]:
+        """Return all, those that stand, too."""
+        return sorted([*self.over, *((since, m, state) for m, (since, state)
+                                     in self.open.items())])
+
+
+def _state(diagnosis: Diagnosis) -> str:
+    return ('model' if diagnosis.model else 'blamed' if diagnosis.found else
+            'suspected' if diagnosis.candidates else '')
 
 
 class Fleet:
@@ -129,40 +162,51 @@ class Fleet:
             excusable = diagnosis.excusable()
             diagnosis.update(now, self.alarms[m], running[m],
                              [1 << int(j) for j in np.flatnonzero(self.direct[m])])
-            if not diagnosis.stands:
+            if not diagnosis.stands and self.watch.detector.full(
+                    m * len(self.checks) + excusable):
                 self._admit(m, excusable)
             (self.busy.add if diagnosis.stands else self.busy.discard)(m)
 
     def _admit(self, machine: int, checks: NDArray[np.int64]) -> None:
         if checks.size:
             self.watch.detector.admit(machine * len(self.checks) + checks)
+            self.watch.detector.restart(machine * len(self.checks) + checks)
 
-    def healthy(self, seconds: float) -> list[tuple[float, int, str]]:
-        """Run without faults; return each time that somebody was blamed or the model was."""
-        told: list[tuple[float, int, str]] = []
-        known: dict[int, str] = {}
+    def healthy(self, seconds: float, compare: bool = True) -> tuple[list[Told], list[Told]]:
+        """
+        Run without faults; return the false alarms, and those of the peer if it is to run, too.
+
+        Whatever is said from the first word to the last is one alarm, of the gravest state. Who
+        looks after the machine says CLEARED after the first word that it is healthy; what is told
+        then is another alarm. The peer starts anew then.
+        """
+        told = [Alarms(), Alarms()]
+        peer = Peer(self.case, self.machines.x) if compare else None
         for _ in range(round(seconds / PERIOD)):
-            if not self.tick():
-                continue
-            for m in self.busy | set(known):
-                d = self.diagnoses[m]
-                state = ('model' if d.model else 'isolated' if d.found else 'suspected'
-                         if d.candidates else '')
-                if state and known.get(m) != state:
-                    told.append((self.ticks * PERIOD, m, state))
-                    if state != 'suspected':  # whoever looks after it says that it is healthy
-                        excusable = d.excusable()
-                        if excusable.size:
-                            self._admit(m, excusable)
-                            d.dismiss(self.ticks * PERIOD)
-                        else:
-                            self.diagnoses[m] = Diagnosis(self.supports)
-                        self.busy.discard(m)
-                        r = len(self.checks)
-                        self.watch.detector.restart(np.arange(m * r, (m + 1) * r))
-                        state = ''
-                known[m] = state
-        return told
+            judged, now = self.tick(), self.ticks * PERIOD
+            if peer is not None:
+                rejected = peer.step(self.said, self.commands).any(axis=1)
+                for m in told[1].open.keys() | set(np.flatnonzero(rejected).tolist()):
+                    if told[1].take(now, m, 'blamed' if rejected[m] else ''):
+                        peer.start(m, self.machines.x[m])
+            if judged:
+                for m in self.busy | told[0].open.keys():
+                    if told[0].take(now, m, _state(self.diagnoses[m])):
+                        self._clear(m, now)
+        return told[0].all(), told[1].all()
+
+    def _clear(self, machine: int, now: float) -> None:
+        """Do what the isolator does when everybody who was named is cleared."""
+        diagnosis, r = self.diagnoses[machine], len(self.checks)
+        excusable = diagnosis.excusable()
+        if excusable.size:
+            diagnosis.dismiss(now)
+            self._admit(machine, excusable)
+        else:
+            for j in range(len(self.sensors)):
+                diagnosis.forgive(1 << j, now, np.ones(r, dtype=bool))
+        self.watch.detector.restart(np.arange(machine * r, (machine + 1) * r))
+        self.busy.discard(machine)
 
     def campaign(self, faults: Faults, seconds: float, dwell: float = 10.0) -> Outcome:
         """Let each machine have its fault; return what was said of it, by the peer, too."""

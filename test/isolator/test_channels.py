@@ -102,3 +102,16 @@ def test_how_long_a_channel_rests_is_not_known_before_it_has_rested_some_times()
     assert feed(channels, steps, steps)[0] == []
     late = np.where(np.arange(3200) < 2800, 1.0, 0.4)
     assert feed(channels, np.ones(3200), late, learn=False)[0] == []
+
+
+def test_a_channel_may_repeat_twice_as_often_as_it_ever_did():
+    readings = noise(4000)
+    readings[1::16] = readings[:-1:16]  # pairs, and once eight in a row
+    readings[2001:2009] = readings[2000]
+    channels = Channels(PERIOD, 4, 1)
+    assert feed(channels, readings)[0] == [] and channels.longest[0] == 8
+    held = noise(40, 1)
+    held[8:21] = held[7]
+    assert feed(channels, held, learn=False)[0] == []
+    held[8:] = held[7]
+    assert feed(channels, held, learn=False)[0] != []

@@ -85,6 +85,7 @@ def forged(path, change):
     ('swings', lambda r: r.update(swings=[[0, 0]])),
     ('taught', lambda r: r.update(taught=[[0, 0, 1e300]])),
     ('taught', lambda r: r.update(taught='all')),
+    ('taught', lambda r: r.update(taught=[[i, j, 1e75] for i in range(24) for j in range(3)])),
     ('extra', lambda r: r.update(extra=1)),
     ('merged', lambda r: r['maxima']['merged'][0].__setitem__(0, 3)),
     ('blocks', lambda r: r['maxima']['blocks'].pop()),

@@ -40,7 +40,7 @@ class Detector:
                  limit: Floats) -> None:
         n, count = len(prior), len(WINDOWS)
         self.period, self.batch, self.false_alarms = period, batch, false_alarms
-        self.prior, self._limit, self._floor = prior, limit, -limit
+        self.prior, self.limit, self._floor = prior, limit, -limit
         self._length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
         strides = [max(1, window // (4 * batch)) for window in WINDOWS]
         # how many windows are looked at, by batch; a long one is only beside all that are shorter
@@ -86,7 +86,7 @@ class Detector:
         raw[:2] = raw[-2:]
         new = raw[2:]
         np.maximum(samples, self._floor, out=new)
-        np.minimum(new, self._limit, out=new)
+        np.minimum(new, self.limit, out=new)
         self.filled += self.batch
         if np.isnan(np.add.reduce(new, axis=None)):
             unknown = np.isnan(new).any(axis=0)

@@ -16,6 +16,7 @@ from vsensor_ros.isolator.detector import ENOUGH, GROWTH, SPAN
 
 WINDOWS = (4, 16, 64, 256, 1024)  # samples
 ROWS = 2 * len(WINDOWS)  # level and contrast of each, as the detector has them
+CONTRASTS = slice(len(WINDOWS), ROWS)
 LOOK = 128  # samples, after which motion is learnt; in between it is looked at when it counts
 PEAK = 20.0  # s in which a peak is forgotten to 1/e
 SPARE = 0.25  # of what was learnt is spared in the thresholds anyway
@@ -25,7 +26,11 @@ Bools = NDArray[np.bool_]
 
 
 class Motion:
-    """Of channels c. beyond (c,): motion beyond what was learnt, as a share of it."""
+    """
+    Of channels c. beyond (ROWS, c): motion beyond what was learnt, as a share of it.
+
+    Share of the range of its own window, level or contrast.
+    """
 
     _filled: NDArray[np.int64]  # samples since the start of the windows
     _streak: NDArray[np.int64]  # samples that were healthy without a gap
@@ -45,7 +50,7 @@ class Motion:
     def restart(self) -> None:
         """Forget the samples, not what was learnt."""
         count = self._sums.shape[1]
-        self.beyond = np.zeros(count)
+        self.beyond = np.zeros((ROWS, count))
         self._filled, self._streak = (np.zeros(count, dtype=np.int64) for _ in range(2))
         self._healthy = np.ones(count, dtype=bool)  # since the last block
         self._block = np.full(self.swings.shape, -np.inf)
@@ -85,7 +90,7 @@ class Motion:
         np.divide((shown - np.where(known, self._used, np.inf)).max(axis=0), half, out=share,
                   where=known)
         self.beyond *= np.exp(-held * self.batch * self.period / PEAK)
-        np.maximum(self.beyond, share.max(axis=0) - SPARE, out=self.beyond)
+        np.maximum(self.beyond, share - SPARE, out=self.beyond)
 
     def _shown(self, places: NDArray[np.int64]) -> Floats:
         """Return the most, and the least with the other sign, of all windows (2, ROWS, c)."""

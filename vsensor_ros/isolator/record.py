@@ -26,6 +26,7 @@ VERSION = 1
 MEND = 'remove the file; the isolator then learns anew'
 MOST = 2**53  # samples, of any count
 COUNTS = ('repeats', 'again', 'pairs', 'longest', 'longest_gap', 'samples')  # of channels
+BEYOND = 10.0  # times what a residual counts as at most: no threshold is there
 SIZES = ('travel', 'roughness', 'usual_spike')  # of channels
 
 
@@ -90,6 +91,8 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
     swings = _cells(reader, 'swings', motion.swings.shape)
     taught = _cells(reader, 'taught', detector.taught.shape)
+    if np.any(taught > BEYOND * detector.limit):
+        raise reader.fail('taught', 'has a number that no residual reaches')
     if np.any(counts['again'] > counts['repeats']):
         raise reader.fail('again', 'are more than repeats')
     if np.any(counts['repeats'] > counts['pairs']):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import Floats
 from vsensor_ros.isolator.channels import Channels
 from vsensor_ros.isolator.detector import Bools, Detector, ENOUGH, WINDOWS
-from vsensor_ros.isolator.motion import Motion
+from vsensor_ros.isolator.motion import CONTRASTS, Motion
 
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
 FARTHEST = 3.0  # times the motion that was learnt is what motion beyond counts as at most
+SLACK = 0.15  # of its width is a threshold widened by readings while no estimate goes further
 SHORTEST = 16  # samples of a check that counts
 LASTING = 2  # the window against whose thresholds a median is held
 FAST = 0.02  # s; up to this period four samples are taken at a time
@@ -23,6 +26,13 @@ Ints = NDArray[np.int64]
 def batch_of(period: float) -> int:
     """Return how many samples are looked at together: a delay of 60 ms at most."""
     return 4 if period <= FAST else 1
+
+
+def _table(rows: Sequence[Sequence[int] | Ints], none: int) -> Ints:
+    """Return rows of equal length, filled by what is in them already; none: of an empty one."""
+    most = max([1, *(len(row) for row in rows)])
+    return np.array([np.resize(row, most) if len(row) else np.full(most, none)
+                     for row in rows], dtype=np.int64).reshape(len(rows), most)
 
 
 class Watch:
@@ -57,9 +67,9 @@ class Watch:
         # of a dedicated filter all that may be at fault: a fault moves estimates of others only
         movers = [[channel] if channel >= 0 else np.flatnonzero(row & (best >= 0))
                   for channel, row in zip(own, supports)]
-        most = max((len(row) for row in movers), default=1)
-        self._movers = np.array([np.resize(row, most) if len(row) else np.full(most, len(best))
-                                 for row in movers], dtype=np.int64).reshape(len(own), most)
+        self._movers = _table(movers, len(best))
+        self._read = _table([np.flatnonzero(row & (best >= 0)) if channel >= 0 else []
+                             for channel, row in zip(own, supports)], len(best))
         self._unseen = np.flatnonzero(best < 0) if (best < 0).any() else None
         self._told = None if (own >= 0).all() else own >= 0
         self._wraps = wraps if wraps is not None and np.isfinite(wraps).any() else None
@@ -102,21 +112,35 @@ class Watch:
         """
         Return by how much motion beyond what was learnt moves the thresholds.
 
-        (n,), or of the first windows (due, 1, 2, n): level and contrast.
+        Of the first windows (due, 1, 2, n): level and contrast.
         """
-        channels, detector = self.channels, self.detector
-        widened = self._of_checks(channels.beyond)
+        channels, detector, error = self.channels, self.detector, self.model_error
+        widened = error * self._of_checks(channels.beyond)
+        self.motion.look()
+        share, width = self._share(), detector.width(due)
+        most = error * self._of_checks(self.motion.range)
         fresh = detector.learnt * detector.period < ENOUGH
+        # what readings alone tell counts little beside estimates that do not move further
+        widened = np.where(fresh | (most == 0.0), widened,
+                           np.minimum(widened, (SLACK + share) * width))
         if fresh.any():
             span = np.nan_to_num(channels.range[1] - channels.range[0])
-            widened = widened + fresh * self._of_checks(span)
-        widened *= self.model_error
-        self.motion.look()
-        share = np.minimum(np.append(self.motion.beyond, 0.0), FARTHEST)[self._movers].min(axis=1)
+            widened = widened + fresh * error * self._of_checks(span)
         if share.any():
-            most = self.model_error * self._of_checks(self.motion.range)
-            return widened + share * np.minimum(detector.width(due), most)
+            widened = widened + share * np.minimum(width, most)
         return widened
+
+    def _share(self) -> Floats:
+        """
+        Return by which share of what was learnt the motion in each check is beyond it (n,).
+
+        That of the own channel counts over all windows. The others that are read count by
+        contrasts only: a constant fault of theirs moves the estimates of each other, too, but out
+        of a contrast that passes.
+        """
+        beyond = np.minimum(np.pad(self.motion.beyond, ((0, 0), (0, 1))), FARTHEST)
+        return np.maximum(beyond.max(axis=0)[self._movers].min(axis=1),
+                          beyond[CONTRASTS].max(axis=0)[self._read].max(axis=1))
 
     def _of_checks(self, motion: Floats) -> Floats:
         """Return what motion of the channels (c,) is in the residuals (n,)."""
