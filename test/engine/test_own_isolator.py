@@ -122,6 +122,15 @@ def test_who_is_biased_is_replaced_and_the_onset_known(found, late):
     assert any('y2: ' in str(r.what) and 'began about' in str(r.what) for r in run.said)
 
 
+def test_sizes_of_faults_are_not_known_any_more_when_the_clock_has_jumped(found):
+    run = Run(found)
+    run.go_on(5.0)
+    own = run.engine._own
+    assert own.sizes.time is not None
+    own.restart()
+    assert own.sizes.time is None
+
+
 def test_a_drift_counts_from_its_onset_not_from_when_it_was_found(found):
     run = Run(found)
     run.go_on(15.0)
