@@ -357,9 +357,14 @@ def _scheduled(plant: Plant, key: Key, choices: Choices, problem: Problem,
 
 def _function(plant: Plant, key: Key,
               found: VirtualSensor | Refusal) -> NonlinearSensor | None:
-    """Return a nonlinear function where no linear one is known to converge, if there is one."""
-    if not plant.terms and plant.unknown is None:
-        return None  # of a linear plant linear ones are all there are
+    """
+    Return a nonlinear function where no linear one is known to converge, if there is one.
+
+    Unasked only of plants whose unknown inputs, or sensors, are nonlinear: of others the search
+    would take longer than the whole design, and what it adds to Kalman filters is not known yet.
+    """
+    if plant.unknown is None:
+        return None
     function = by_functions(plant, *key)
     if not isinstance(function, NonlinearSensor):
         return None
