@@ -141,7 +141,6 @@ def test_twin_rotor_reaches_the_figures_of_the_method():
     assert abs(np.linalg.eigvals(N)).max() == pytest.approx(reference['rho_max'], abs=1e-4)
 
 
-@pytest.mark.slow
 def test_no_linear_filter_is_as_quiet_as_the_easier_way_was_once_said_to_be():
     """Even one that knows the noise, and which submodel is true: see docs/twin_rotor.md."""
     form = form_of(load_takagi_sugeno(PLANT))
@@ -152,6 +151,7 @@ def test_no_linear_filter_is_as_quiet_as_the_easier_way_was_once_said_to_be():
         assert 0.0173 < yaw < 0.01733 and 0.0181 < pitch < 0.0183
 
 
+@pytest.mark.slow
 def test_intervals_of_the_twin_rotor_contain_the_machine():
     pytest.importorskip('cvxpy')
     plant = load_takagi_sugeno(PLANT)
