@@ -144,9 +144,10 @@ class Plant:
         how late their stamps are; sensor_rate (l,): readings a second, NaN where unknown.
         input_noise (m,), disturbance_noise (d,): as process_noise. spreads: standard deviations
         of parameters that are not known exactly; equations: the same as the arrays in n texts over
-        states, inputs, disturbances, parameters and definitions, which are names and texts in order;
-        unwritten: names of unknown inputs that are what these say. remake: makes the plant anew from factors of
-        its parameters, by name. where: what error lines call the source. Raises BadInput.
+        states, inputs, disturbances, parameters and definitions, which are names and texts in
+        order; unwritten: names of unknown inputs that are what these say. remake: makes the plant
+        anew from factors of its parameters, by name. where: what error lines call the source.
+        Raises BadInput.
         """
         if fourth:  # D is the feedthrough to all who come from control packages
             raise BadInput(where, 'D', 'a fourth argument without a name could mean either',
