@@ -146,10 +146,10 @@ def _chain(joints: list[Joint], links: set[str], path: Path, base: str | None,
             raise BadInput(path, joint.child, 'hangs on two joints, '
                            f'{above[joint.child].name} and {joint.name}', 'a URDF is a tree')
         above[joint.child] = joint
-    for option, link in (('--base', base), ('--tip', tip)):
-        if link is not None and link not in links:
-            raise BadInput(path, option, f'{shown(link)} is not a link',
-                           suggestion(link, sorted(links)))
+    for option, asked in (('--base', base), ('--tip', tip)):
+        if asked is not None and asked not in links:
+            raise BadInput(path, option, f'{shown(asked)} is not a link',
+                           suggestion(asked, sorted(links)))
     if tip is None:
         ends = sorted(links - {joint.parent for joint in joints})
         if len(ends) != 1:
