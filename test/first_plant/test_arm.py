@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from vsensor_ros import design, Design, load_plant
+from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.start import main
 from vsensor_ros.designer.filter_trial import tried

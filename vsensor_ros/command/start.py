@@ -82,7 +82,9 @@ def _text(folder: Path, options: argparse.Namespace) -> str:
         if given and not belongs:
             raise BadInput('', options_, f'does not go with {options.what}', 'leave it out')
     if options.what == ARM:
-        return arm_plant(Arm(*of_arm, options.gravity), checked_name(options.name or ARM))
+        return arm_plant(Arm(options.masses, options.lengths, options.centres,
+                             options.inertias, options.gravity),
+                         checked_name(options.name or ARM))
     if is_urdf:
         return urdf_plant(Path(options.what), options.base, options.tip,
                           options.name and checked_name(options.name))

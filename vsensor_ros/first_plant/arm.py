@@ -55,7 +55,7 @@ def arm_plant(arm: Arm, name: str = 'arm') -> str:
     joints = range(1, n + 1)
     centres = arm.centres or [length / 2 for length in arm.lengths]
     inertias = arm.inertias or [m * length**2 / 12 for m, length in zip(arm.masses, arm.lengths)]
-    lines = [f'''\
+    lines = [f"""\
 # A planar arm, link 1 from the base on. angle1 is counted from where the arm hangs, the others
 # from the link before: all 0 is the arm hanging straight down.
 name: {name}
@@ -69,14 +69,14 @@ parameters:
   # centre of mass is from its joint, and its inertia about that centre: CAD, or scale and tape.
   # viscous: torque a rad/s; coulomb: what is left at creeping speed. Both are a guess here: drive
   # each joint at several constant speeds, up and down, and draw torque over speed.
-  # fit: what a recording can tell; spread: how far off it may be, one standard deviation''']
+  # fit: what a recording can tell; spread: how far off it may be, one standard deviation"""]
     helds = [GRAVITY * sum(m * length for m, length in zip(arm.masses[i:], arm.lengths[i:]))
              for i in range(n)]  # N m, about what holds the arm stretched out
     turned = [inertia + m * centre**2 for inertia, m, centre in zip(inertias, arm.masses, centres)]
     for i, mass, length, centre, inertia, held, much in zip(
             joints, arm.masses, arm.lengths, centres, inertias, helds, turned):
         coulomb, viscous = _round(0.01 * held), _round(much / COASTS)
-        lines.append(f'''\
+        lines.append(f"""\
   mass{i}: {{value: {mass!r}, unit: kg, fit: {_within(mass, 2)}, spread: {_round(0.03 * mass)!r}}}
   length{i}: {{value: {length!r}, unit: m}}
   centre{i}: {{value: {centre!r}, unit: m, fit: {_within(max(centre, length / 10), 2)}}}
@@ -84,10 +84,10 @@ parameters:
   viscous{i}: {{value: {viscous!r}, unit: N m s/rad, fit: {_within(viscous, 10)}, \
 spread: {_round(viscous / 5)!r}}}
   coulomb{i}: {{value: {coulomb!r}, unit: N m, fit: {_within(coulomb, 10)}, \
-spread: {_round(coulomb / 5)!r}}}''')
-    lines.append('''\
+spread: {_round(coulomb / 5)!r}}}""")
+    lines.append("""\
 states:
-  # process_noise: what moves a state besides the equations, per sqrt(s)''')
+  # process_noise: what moves a state besides the equations, per sqrt(s)""")
     lines += [f'  angle{i}: {{unit: rad, process_noise: 1.0e-5, range: [-6.3, 6.3]}}'
               for i in joints]
     lines += [f'  velocity{i}: {{unit: rad/s, process_noise: 0.05, range: [-8.0, 8.0]}}'
@@ -101,9 +101,9 @@ states:
     lines.append('dynamics:')
     lines += [f'  angle{i}: velocity{i}' for i in joints]
     lines += [f'  velocity{i}: {text}' for i, text in zip(joints, accelerations)]
-    lines.append('''\
+    lines.append("""\
 sensors:
-  # noise: standard deviation of a single reading at rest; of an encoder a step over sqrt(12)''')
+  # noise: standard deviation of a single reading at rest; of an encoder a step over sqrt(12)""")
     lines += [f'  encoder{i}: {{measures: angle{i}, unit: rad, noise: 2.0e-4, tolerance: 0.05}}'
               for i in joints]
     lines += [f'  tacho{i}: {{measures: velocity{i}, unit: rad/s, noise: 0.02, tolerance: 0.2}}'

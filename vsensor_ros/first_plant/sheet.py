@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def total(nodes: Sequence[Node]) -> Node:
     return found
 
 
-def vector(values: Sequence[float]) -> Vector:
+def vector(values: Iterable[float]) -> Vector:
     """Return numbers as a vector."""
     return [Number(float(v)) for v in values]
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 import math
 from pathlib import Path
 import re
+from types import MappingProxyType
 
 import yaml
 
@@ -23,12 +24,12 @@ def templates(folder: Path) -> dict[str, str]:
 
 
 def filled(folder: Path, template: str, name: str | None = None,
-           values: Mapping[str, str] = {}) -> str:  # noqa: B006: never changed
+           values: Mapping[str, str] = MappingProxyType({})) -> str:
     """
     Return the text of a template with the plant's name and values of parameters put in.
 
-    A `spread` is scaled with its value, and so is `fit` where the value is not within. Raises BadInput
-    for a name that there is not, and for what is no number.
+    A `spread` is scaled with its value, and so is `fit` where the value is not within. Raises
+    BadInput for a name that there is not, and for what is no number.
     """
     known = templates(folder)
     if template not in known:
@@ -51,7 +52,7 @@ def filled(folder: Path, template: str, name: str | None = None,
 
 
 def checked_name(name: str) -> str:
-    """Return the name of a plant; raise BadInput unless it may stand in a topic and a file name."""
+    """Return the name of a plant; BadInput unless it may stand in a topic and a file name."""
     if not _NAME.fullmatch(name):
         raise BadInput('', '--name', f'{shown(name)} is not a name',
                        'use letters, digits and _, beginning with a letter')

@@ -140,23 +140,23 @@ def _chain(joints: list[Joint], links: set[str], path: Path, base: str | None,
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
-                raise BadInput(path, joint.name, f'names the link {shown(link)}, which is not there',
-                               suggestion(link, sorted(links)))
+                raise BadInput(path, joint.name, f'names the link {shown(link)}, which is not '
+                               'there', suggestion(link, sorted(links)))
         if joint.child in above:
-            raise BadInput(path, joint.child, f'hangs on two joints, {above[joint.child].name} and '
-                           f'{joint.name}', 'a URDF is a tree')
+            raise BadInput(path, joint.child, 'hangs on two joints, '
+                           f'{above[joint.child].name} and {joint.name}', 'a URDF is a tree')
         above[joint.child] = joint
-    for option, link in (('--base', base), ('--tip', tip)):
-        if link is not None and link not in links:
-            raise BadInput(path, option, f'{shown(link)} is not a link',
-                           suggestion(link, sorted(links)))
+    for option, asked in (('--base', base), ('--tip', tip)):
+        if asked is not None and asked not in links:
+            raise BadInput(path, option, f'{shown(asked)} is not a link',
+                           suggestion(asked, sorted(links)))
     if tip is None:
         ends = sorted(links - {joint.parent for joint in joints})
         if len(ends) != 1:
             raise BadInput(path, '', f'has {len(ends)} ends', 'name the last link of the chain: '
                            f'--tip, one of {", ".join(ends[:20])}')
         tip = ends[0]
-    chain, at = list[Joint](), tip
+    chain, at = list[Joint](), str(tip)
     while at != base and at in above and len(chain) <= len(joints):
         chain.append(above[at])
         at = above[at].parent
@@ -250,7 +250,7 @@ def _written(name: str, bodies: list[Body], moving: list[Joint], model: Any, pat
     direction = np.array(model.gravity.linear) / np.linalg.norm(model.gravity.linear)
     gravity = [times(Name('gravity'), part) for part in vector(_clean(direction))]
     definitions, found = accelerations(bodies, gravity, drives)
-    lines = [f'''\
+    lines = [f"""\
 # Made of {path.name}: the chain {", ".join(joint.name for joint in moving)}.
 # Masses, centres and inertias are those of the file, put together where nothing moves between.
 name: {name}
@@ -263,7 +263,7 @@ parameters:
   # mass: of what moves with the joint up to the next one. viscous: torque or force a unit of
   # speed; coulomb: what is left at creeping speed. Most URDFs have guesses, or none: drive each
   # joint at several constant speeds, up and down, and draw its torque over speed.
-  # fit: what a recording can tell; spread: how far off it may be, one standard deviation''']
+  # fit: what a recording can tell; spread: how far off it may be, one standard deviation"""]
     for i, (body, joint, effort) in enumerate(zip(bodies, moving, efforts), 1):
         mass = float(model.inertias[i].mass)
         fit = f', fit: [{mass / 2:.4g}, {mass * 2:.4g}]' if mass else ''
@@ -282,13 +282,14 @@ parameters:
         lines.append(f'  {body.joint}: {{unit: {_unit(body)}, process_noise: 1.0e-5, '
                      f'range: [{low!r}, {high!r}], initial: {_between(low, high)!r}}}')
     for body, joint, speed in zip(bodies, moving, speeds):
-        lines.append(f'  {speed}: {{unit: {_unit(body)}/s, process_noise: '
-                     f'{0.01 * _speed(joint):.4g}, range: [{-_speed(joint)!r}, {_speed(joint)!r}]}}')
+        most = _speed(joint)
+        lines.append(f'  {speed}: {{unit: {_unit(body)}/s, process_noise: {0.01 * most:.4g}, '
+                     f'range: [{-most!r}, {most!r}]}}')
     lines.append('inputs:')
     lines += [f'  {body.joint}_{_drive(body)}: {{unit: {"N" if body.slides else "N m"}, '
               f'range: [{-effort!r}, {effort!r}], process_noise: {0.001 * effort:.4g}}}'
               for body, effort in zip(bodies, efforts)]
-    lines.append('definitions:      # Newton and Euler out and back, then the mass matrix as L D L\'')
+    lines.append('definitions:      # Newton and Euler out and back, then the mass matrix')
     lines += [f'  {key}: {text}' for key, text in definitions.items()]
     lines.append('dynamics:')
     lines += [f'  {body.joint}: {speed}' for body, speed in zip(bodies, speeds)]
