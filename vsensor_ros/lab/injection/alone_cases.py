@@ -129,17 +129,17 @@ def clear_early(context: AloneContext) -> None:
     context.expect(target, 'virtual')
     context.play(WATCHED)
     context.clear(target)
-    context.until(lambda: context.switched(target) > 1, SOON, f'{target} cleared')
     context.injected[-1].over = math.inf    # it is faulty all the while
     context.isolate(target)
     context.expect(target, 'virtual')
     context.play(WATCHED)
-    # the time in between may have been too short to be told, but is counted
+    # the time in between may have been too short to be told, or for a message to be sent on
     path = path_of(context.machine.heard.told, target)
     again = ('virtual', 'real') if path.count('virtual') > 1 else ()
+    switches = 4 if context.switched(target) > 1 else 2
     context.heal()
     context.believe(target)
-    context.expect_path(target, 'real', 'virtual', 'real', *again, switches=4)
+    context.expect_path(target, 'real', 'virtual', 'real', *again, switches=switches)
 
 
 def silence(context: AloneContext) -> None:
