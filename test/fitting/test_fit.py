@@ -12,6 +12,7 @@ from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.suspicion import loops
 from vsensor_ros.fitting.windows import cut
 from vsensor_ros.plant.free import load_free
+from vsensor_ros.recordings import Recording, Track
 
 
 @pytest.fixture(scope='module')
@@ -26,7 +27,7 @@ def axis(tmp_path_factory):
 def test_parameters_are_found_within_their_spreads(axis):
     _, _, result = axis
     truth = np.array(list(TRUTH.values()))
-    assert np.abs(result.values / truth - 1.0).max() < 0.01
+    assert np.abs(result.values / truth - 1.0).max() < 0.03
     assert (np.abs(result.values - truth) < 4.0 * result.spreads).all()
     assert (result.known.errors < 0.02).all()
     assert result.noise.sensors[0] == pytest.approx(1e-4, rel=0.3)
@@ -66,14 +67,16 @@ def test_an_offset_of_each_run_is_told_from_the_parameters(tmp_path):
 def test_a_command_computed_from_a_sensor_is_said(tmp_path):
     here = Model(load_free(written(tmp_path)))
     random = np.random.default_rng(6)
-    goal = torques(2000, 0.01, random, 1.0)
-    angle, speed, u = 0.0, 0.0, np.zeros(2000)
-    for k, now in enumerate(goal):
-        u[k] = 8.0 * (now - angle) + 0.3 * random.standard_normal()
-        speed += 0.01 * (u[k] - 2.0 * speed) / 0.8
+    t = 0.01 * np.arange(1000)
+    goal, noise = np.sin(0.7 * t) + 0.5 * np.sin(1.9 * t), 1e-3 * random.standard_normal(1000)
+    angle, speed, y, u = 0.0, 0.0, np.zeros(1000), np.zeros(1000)
+    for k in range(1000):
+        y[k] = angle + noise[k]
+        u[k] = 8.0 * (goal[k] - y[k])
         angle += 0.01 * speed
-    closed = recorded(written(tmp_path, drag=2.0, inertia=0.8, dry=0.0), u, noise=1e-4)
-    opened = recorded(written(tmp_path, **TRUTH), goal)
+        speed += 0.01 * (u[k] - 2.0 * speed) / 0.8
+    closed = Recording({'encoder': Track.of(t, y), 'torque': Track.of(t, u)})
+    opened = recorded(written(tmp_path, **TRUTH), torques(1000, 0.01, random))
     assert any('computed from encoder' in line for line in
                loops(cut([closed], here, 1.0), here.sensors, here.inputs))
     assert loops(cut([opened], here, 1.0), here.sensors, here.inputs) == []

@@ -20,6 +20,8 @@ from vsensor_ros.fitting.windows import Windows
 
 BURN = 10  # readings at a start that are not judged
 SMALL = 1e-4  # of a logarithm, for slopes
+LONG = {'maxiter': 200, 'ftol': 1e-10}  # of the search with parameters, which are correlated
+SHORT = {'maxiter': 30, 'ftol': 1e-6}  # of noise alone
 WIDE = np.log(1e3)  # how far a noise may be from its guess
 
 
@@ -81,7 +83,7 @@ def found_noise(model: Model, windows: Windows, theta: np.ndarray, states: np.nd
         values = _unlikelihood(done, lead).reshape(count, wide).mean(axis=1)
         return float(values[0]), (values[1:] - values[0]) / SMALL
     z = minimize(unlikely, first, jac=True, bounds=limits, method='L-BFGS-B',
-                 options={'maxiter': 30, 'ftol': 1e-6}).x
+                 options=LONG if moving else SHORT).x
     return to_theta(z[:, None])[:, 0], Noise(np.exp(z[moving:moving + n]), np.exp(z[moving + n:]),
                                              guess.known)
 

@@ -73,7 +73,9 @@ def residual_tests(residuals: np.ndarray, windows: Windows, sensors: Sequence[st
     """
     said = []
     every = windows.every
+    last = len(windows.inputs) - 1
     u = np.array([windows.inputs[j * every:(j + 1) * every].mean(axis=0)
+                  if j * every <= last else windows.inputs[last]
                   for j in range(len(residuals))])
     for i, sensor in enumerate(sensors):
         e = residuals[:, i]
