@@ -81,11 +81,6 @@ class Residuals(Steps):
         self._put = np.full(runs, NEVER)  # tick at which each was put where its tracker was
         self._anew: set[int] = set()  # runs that are to be
 
-    @property
-    def warm_up(self) -> float:
-        """Return how long [s] it takes from the start until there is an estimate of each."""
-        return float(self._warm.max(initial=0.0)) * self.period * 1e-9
-
     def blame(self, names: Collection[str]) -> None:
         """Take these sensors, the complete set, for faulty; what has read others starts anew."""
         gone, self._blamed = self._blamed.difference(names), frozenset(names)

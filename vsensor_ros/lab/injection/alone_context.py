@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 import math
 import time
 
-from vsensor_ros.bank import Residuals
 from vsensor_ros.lab.injection.blame import (
     BY_READINGS,
     BY_RESIDUALS,
@@ -26,6 +25,8 @@ from vsensor_ros.lab.injection.verdict import PART, Said, SIGMAS
 from vsensor_ros.observers import Isolability
 
 LEARNING = 1200     # readings of a healthy machine, before which its habits are not known
+WARM = 60.0         # s that the slowest observer has at most to forget its start
+DECAYED = 12.0      # time constants in which it has for certain
 UP = 4.0            # s until a process that was started hears all
 FOUND = 10.0        # s in which a fault must have been found, beside the max_age of its sensor
 WINDOW = 64         # readings in which noise is looked for
@@ -192,12 +193,12 @@ def learning_time(tested: UnderTest) -> float:
     return UP + LEARNING / tested.parameters.general('rate') + forgetting_time(tested)
 
 
-@cache
 def forgetting_time(tested: UnderTest) -> float:
     """Return how long the slowest observer of a residual takes to forget its start [s]."""
     found = tested.design.isolability
-    return Residuals(tested.design.isolating(), found.residuals if found else (),
-                     tested.parameters.general('rate'), tested.max_age).warm_up
+    entries = [*tested.design.virtual_sensors, *(found.filters.values() if found else ())]
+    slowest = min((entry.decay for entry in entries), default=0.0)
+    return min(WARM, DECAYED / max(slowest, 1e-3))
 
 
 def _number(facts: Mapping[str, str], key: str) -> float | None:
