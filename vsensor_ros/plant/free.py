@@ -60,11 +60,14 @@ def load_free(path: str | Path, content: dict[str, Any] | None = None) -> FreePl
                         'give those that are to be found a range: {value: 0.3, fit: [0.1, 1.0]}')
     if 'dynamics' not in file.content:
         raise file.fail('matrices', 'cannot be fitted', 'give one equation a state under dynamics')
+    if plant.definitions:
+        raise file.fail('definitions', 'make equations too large to be fitted',
+                        'fit a part of the machine, such as two of its joints')
     moving = _moving(file, section, fits)
     unit = file.time_unit(plant.sample_time)
 
     def by_name(text: object, key: str) -> Node:
-        return fold(substitute(file.with_names(text, key, moving), moving), path, key)
+        return fold(substitute(file.with_names(text, key, moving, True), moving), path, key)
     states = tuple(file.section('states', ('unit', 'initial', 'process_noise', 'range', 'slow')))
     texts = {**{s: '0' if plant.sample_time is None else s for s in states},
              **file.content['dynamics']}
