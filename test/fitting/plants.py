@@ -44,7 +44,7 @@ def torques(count, step, random, size=2.0):
     return np.repeat(random.uniform(-size, size, count // held + 1), held)[:count]
 
 
-def recorded(path, u, step=0.01, noise=1e-4, random=None, x0=None):
+def recorded(path, u, step=0.02, noise=1e-4, random=None, x0=None):
     """Simulate a plant, and say what its sensors say with noise."""
     plant = load_plant(path)
     random = random or np.random.default_rng(0)

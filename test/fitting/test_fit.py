@@ -18,7 +18,7 @@ from vsensor_ros.recordings import Recording, Track
 @pytest.fixture(scope='module')
 def axis(tmp_path_factory):
     folder = tmp_path_factory.mktemp('axis')
-    u = torques(1000, 0.01, np.random.default_rng(3))
+    u = torques(500, 0.02, np.random.default_rng(3))
     run = recorded(written(folder, **TRUTH), u)
     path = written(folder)
     return path, run, fit(load_free(path), [run], 1.0, tries=1)
@@ -43,7 +43,7 @@ def test_only_a_ratio_is_seen(tmp_path):
         .replace('(torque -', '(gain*torque -').replace(' - dry*sign(speed)', '') \
         .replace('  dry: {value: 0.1, fit: [0.0, 2.0]}\n', '') \
         .replace('drag: {value: 0.3, fit: [0.0, 3.0]}', 'drag: 0.0')
-    u = torques(800, 0.01, np.random.default_rng(4))
+    u = torques(400, 0.02, np.random.default_rng(4))
     run = recorded(written(tmp_path, text), u)
     result = fit(load_free(written(tmp_path, text)), [run], 1.0, tries=1)
     assert 'only the ratio of gain and inertia is seen in this recording' in result.said
@@ -57,7 +57,7 @@ def test_an_offset_of_each_run_is_told_from_the_parameters(tmp_path):
         .replace('states:\n', 'states:\n  load: {slow: true, range: [-1, 1]}\n')
     truth = written(tmp_path, text, inertia=0.8, drag=0.6)
     random = np.random.default_rng(5)
-    runs = [recorded(truth, torques(800, 0.01, random), x0=[load, 0.0, 0.0])
+    runs = [recorded(truth, torques(400, 0.02, random), x0=[load, 0.0, 0.0])
             for load in (-0.3, 0.2)]
     result = fit(load_free(written(tmp_path, text)), runs, 1.0, tries=1)
     assert result.values == pytest.approx([0.8, 0.6], rel=0.02)
@@ -76,7 +76,7 @@ def test_a_command_computed_from_a_sensor_is_said(tmp_path):
         angle += 0.01 * speed
         speed += 0.01 * (u[k] - 2.0 * speed) / 0.8
     closed = Recording({'encoder': Track.of(t, y), 'torque': Track.of(t, u)})
-    opened = recorded(written(tmp_path, **TRUTH), torques(1000, 0.01, random))
+    opened = recorded(written(tmp_path, **TRUTH), torques(500, 0.02, random))
     assert any('computed from encoder' in line for line in
                loops(cut([closed], here, 1.0), here.sensors, here.inputs))
     assert loops(cut([opened], here, 1.0), here.sensors, here.inputs) == []
@@ -86,7 +86,7 @@ def test_a_command_that_carries_the_sensor_is_said(tmp_path):
     text = AXIS.replace('torque: {unit: N m}', 'torque: {unit: N m}\n  goal: {unit: rad}') \
         .replace('(torque -', '(torque + 0*goal -')
     here = Model(load_free(written(tmp_path, text)))
-    run = recorded(written(tmp_path, **TRUTH), torques(1000, 0.01, np.random.default_rng(7)))
+    run = recorded(written(tmp_path, **TRUTH), torques(500, 0.02, np.random.default_rng(7)))
     run.tracks['goal'] = run.tracks['encoder']
     assert any('carries it' in line for line in
                loops(cut([run], here, 1.0), here.sensors, here.inputs))
@@ -118,7 +118,7 @@ def test_the_command_writes_the_file_back_with_its_comments(tmp_path, axis):
         f'{t:.3f},{y!r},{u!r}\n' for t, y, u in ((t, float(y), float(u)) for t, y, u in rows)))
     path, out = written(tmp_path), tmp_path / 'fitted.yaml'
     for _ in range(2):  # what was written is a plant file for the next fit
-        assert main([str(path), str(table), '--horizon', '1', '--tries', '1', '--to', '10',
+        assert main([str(path), str(table), '--horizon', '0.5', '--tries', '1', '--to', '10',
                      '-o', str(out)]) == 0
         path = out
     text = out.read_text()

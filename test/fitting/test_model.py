@@ -18,8 +18,8 @@ def test_an_axis_with_dry_friction_moves_as_in_the_simulator(tmp_path):
     path = written(tmp_path, **TRUTH)
     here, plant = Model(load_free(path)), load_plant(path)
     step = 0.002
-    u = torques(2000, step, np.random.default_rng(1), 1.0)  # often below the friction: it rests
-    truth = simulate(plant, step * np.arange(2000), u[:, None])
+    u = torques(1000, step, np.random.default_rng(1), 1.0)  # often below the friction: it rests
+    truth = simulate(plant, step * np.arange(1000), u[:, None])
     assert (truth[:, 1] == 0.0).mean() > 0.05
     x, theta = here.start(np.zeros((2, 1))), np.array(list(TRUTH.values()))
     found = [x.value[:, 0]]
