@@ -39,7 +39,7 @@ STRUCTURES = {
     'asymmetric': '{0}_viscous*v - {0}_direction*abs(v) + {0}_coulomb*sign(v) + {0}_bias',
     'Stribeck': '{0}_viscous*v + {0}_static*sign(v) - {0}_drop*tanh(v/{0}_speed)'}
 BETTER = 0.95  # of a simpler structure's held-out error: more parameters must be worth it
-TRIES = 1  # starts of a search: these are near enough
+STEPS = 100  # of the simulation in a window: enough to compare
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,19 +118,23 @@ def tried(path: str | Path, runs: Sequence[Recording], horizon: float | None = N
     """
     Fit each structure, and say how far off each is on parts that it was not fitted to.
 
+    Each begins with what a simpler one found of the parameters that both have.
+
     Raises BadInput, one line.
     """
-    found = []
-    contents = variants(path)
+    found: list[Tried] = []
+    contents, known = variants(path), dict[str, float]()
     for i, (name, content) in enumerate(contents.items()):
         if progress is not None:
             progress(i, len(contents), name)
         free = load_free(path, content)
         model = Model(free)
         check_channels(runs, model, path)
-        windows = cut(runs, model, usual_horizon(runs, model) if horizon is None else horizon)
-        begun = np.array([f.value for f in free.free])
-        whole = search(model, windows, begun, TRIES)
+        windows = cut(runs, model, usual_horizon(runs, model) if horizon is None else horizon,
+                      steps=STEPS)
+        begun = np.array([known.get(f.name, f.value) for f in free.free])
+        whole = search(model, windows, begun, tries=1)
+        known.update(zip(model.parameters, whole.start.theta.tolist()))
         _, held = crossed(whole)
         moved = np.nanstd(windows.readings, axis=(0, 2))
         size = float(np.sqrt(np.nanmean((held.rms(held.plant) / moved)**2)))

@@ -95,12 +95,13 @@ class Model:
 
     def _point(self, x: np.ndarray, u: np.ndarray, theta: np.ndarray,
                rubbing: np.ndarray | None = None) -> np.ndarray:
-        wide = x.shape[1]
-        return np.concatenate([
-            x, u, np.zeros((len(self._signs), wide)) if rubbing is None else rubbing,
-            np.broadcast_to(theta.reshape(len(self.parameters), -1),
-                            (len(self.parameters), wide)),
-            np.zeros((self._quiet, wide))])
+        n, m, signs, count = x.shape[0], len(u), len(self._signs), len(self.parameters)
+        at = np.zeros((n + m + signs + count + self._quiet, x.shape[1]))
+        at[:n], at[n:n + m] = x, u
+        if rubbing is not None:
+            at[n + m:n + m + signs] = rubbing
+        at[n + m + signs:n + m + signs + count] = theta.reshape(count, -1)
+        return at
 
     def _along(self, equations: Equations, x: Moved, at: np.ndarray,
                rubbing: Moved | None = None) -> Moved:

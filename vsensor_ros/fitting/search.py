@@ -25,7 +25,7 @@ class Found:
     shooting: Shooting
     start: Start
     shot: Shot
-    costs: tuple[float, ...] = ()  # of each start that was tried, the file's first
+    costs: tuple[float, ...] = ()  # of each start that was compared, the file's first
 
 
 def bounds_of(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -71,20 +71,21 @@ def search(model: Model, windows: Windows, theta: np.ndarray, tries: int = 5,
     """
     Find the parameters from `theta` and, in all, `tries` starts drawn between their bounds.
 
-    The starts are compared on some windows' beginnings, and the best goes on to the whole.
+    The starts are compared on some windows' beginnings, and the best goes on to the whole; one
+    alone needs no comparison.
     """
     few = windows.only(np.unique(np.linspace(0, len(windows.run) - 1, FEW).astype(int)))
     random = np.random.default_rng(SEED)
     bounds = bounds_of(model)
     begun, costs = [], []
-    for i in range(tries):
+    for i in range(tries if tries > 1 else 0):
         if progress is not None:
             progress(i, tries + 2, f'start {i + 1} of {tries}')
         point = theta if i == 0 else _drawn(random, *bounds)
         found = _grown(model, few, Start(point, first_states(model, few)), SHARES[:2], bounds)
         begun.append(found.start.theta)
         costs.append(found.shot.cost)
-    best = begun[int(np.argmin(costs))]
+    best = begun[int(np.argmin(costs))] if begun else theta
     if progress is not None:
         progress(tries, tries + 2, 'whole windows')
     found = refined(_grown(model, windows, Start(best, first_states(model, windows)), SHARES,
