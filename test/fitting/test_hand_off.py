@@ -28,7 +28,7 @@ WIRING = """
 
 def write_table(folder, run):
     """Write a table whose columns have names of their own, and say which they are."""
-    t, y, u = run.tracks['encoder'].times, run.tracks['encoder'].values, run.tracks['torque'].values
+    t, y, u = run.tracks['encoder'].times, *(run.tracks[n].values for n in ('encoder', 'torque'))
     np.savetxt(folder / 'run.csv', np.column_stack([t, y, u]), delimiter=',', comments='',
                header='t,pos [rad],motor')
     (folder / 'wire.yaml').write_text('encoder: pos\ntorque: motor\n')
@@ -40,21 +40,20 @@ def write_bag(folder, run):
     rosbag2 = pytest.importorskip('rosbags.rosbag2')
     from rosbags.typesys import get_typestore, Stores
     store = get_typestore(Stores.ROS2_JAZZY)
-    T = store.types
+    T, JOINTS, TORQUE = store.types, 'sensor_msgs/msg/JointState', 'std_msgs/msg/Float64'
     writer = rosbag2.Writer(folder / 'run', version=9)
     with writer:
-        joints = writer.add_connection('/joints_raw', 'sensor_msgs/msg/JointState', typestore=store)
-        torque = writer.add_connection('/torque', 'std_msgs/msg/Float64', typestore=store)
+        joints = writer.add_connection('/joints_raw', JOINTS, typestore=store)
+        torque = writer.add_connection('/torque', TORQUE, typestore=store)
         none = np.zeros(0)
         for t, y, u in zip(run.tracks['encoder'].stamps.tolist(), run.tracks['encoder'].values,
                            run.tracks['torque'].values.tolist()):
             stamp = 1_700_000_000_000_000_000 + t
             header = T['std_msgs/msg/Header'](
                 stamp=T['builtin_interfaces/msg/Time'](*divmod(stamp, 10**9)), frame_id='')
-            said = T['sensor_msgs/msg/JointState'](header, ['load'], np.array([y]), none, none)
-            writer.write(joints, stamp, store.serialize_cdr(said, joints.msgtype))
-            writer.write(torque, stamp, store.serialize_cdr(
-                T['std_msgs/msg/Float64'](u), torque.msgtype))
+            said = T[JOINTS](header, ['load'], np.array([y]), none, none)
+            writer.write(joints, stamp, store.serialize_cdr(said, JOINTS))
+            writer.write(torque, stamp, store.serialize_cdr(T[TORQUE](u), TORQUE))
     (folder / 'wire.yaml').write_text(WIRING)
     return folder / 'run'
 
