@@ -22,7 +22,7 @@ export OPENBLAS_NUM_THREADS := 1
 .PHONY: help demo test lint inject bench clean set-up
 
 help:
-	@echo 'make demo    watch failed sensors being replaced on four systems; build/demo'
+	@echo 'make demo    watch failed sensors being replaced on five systems; build/demo'
 	@echo 'make test    the tests but the slow ones (ARGS="-k name": a part; ARGS="-m slow": those)'
 	@echo 'make lint    ruff and mypy'
 	@echo 'make inject  inject every kind of fault into a replacer (SYSTEM=three_tank; ARGS='--alone --quick')'

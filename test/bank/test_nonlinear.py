@@ -120,23 +120,32 @@ def made(tmp_path, text, lost, observer, out):
     return plant, Design.load(tmp_path / 'd.json')
 
 
-class Played:
-    """A run whose sensors are lost at a time [s], and what was said since."""
+def arriving(k, count, late):
+    """Return which readings come at a step: late from step 20 on, until 60 before the end."""
+    if not late or k < 20 or k > count - 60:
+        return [k]
+    return range(k - late, k + 1) if k == count - 60 else [k - late] if k - late >= 20 else []
 
-    def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None):
+
+class Played:
+    """A run whose sensors are lost at a time [s], one other is late, and what was said since."""
+
+    def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None, late=0):
         t = np.arange(int(seconds * rate) + 1) / rate
         inputs = np.array([u(time) for time in t], dtype=float).reshape(len(t), -1)
         x = simulate(plant, t, inputs, lambda time: [rho(time)], start)
         y = readings(plant, t, x, inputs, lambda time: [rho(time)])
         read = y + plant.noise * np.random.default_rng(1).standard_normal(y.shape)
         own = plant.sensors.index(lost[0])
+        behind = next(sensor for sensor in plant.sensors if sensor not in lost)
         self.bank, self.error, self.stated, self.why = Bank(made, rate), [], [], []
         for k, time in enumerate(t):
             now = SECOND + round(time * SECOND)
             for j, sensor in enumerate(plant.sensors):
                 if sensor not in lost or k < at * rate:
-                    value = read[k, j] if seen is None else seen(sensor, time, read[k, j])
-                    self.bank.take(sensor, now, value)
+                    for i in arriving(k, len(t), late if sensor == behind else 0):
+                        value = read[i, j] if seen is None else seen(sensor, time, read[i, j])
+                        self.bank.take(sensor, SECOND + round(t[i] * SECOND), value)
             for j, name in enumerate(plant.inputs):
                 self.bank.take(name, now, inputs[k, j])
             self.bank.advance(now)
@@ -199,6 +208,21 @@ def test_it_rehearses_beside_the_healthy_channel(tmp_path):
     run = Played(plant, found, lost, rate, 20.0, rho, u, start, 19.0)
     measured = run.bank.measured(lost, lost[0])
     assert measured is not None and measured.rms < 2 * bar
+
+
+@pytest.mark.parametrize(('name', 'late'), [('tank', 5), ('crane', 30)])
+def test_late_readings_end_up_in_it_all_the_same(tmp_path, name, late):
+    """Not the first ones: where these are late, so is the start, by a step."""
+    text, lost, observer, out, rate, _, rho, u, start, _ = CASES[name]
+    plant, found = made(tmp_path, text, lost, observer, out)
+    seconds = 400 / rate
+    punctual, delayed = (Played(plant, found, lost, rate, seconds, rho, u, start, seconds / 4,
+                                late=by) for by in (0, late))
+    said, meanwhile = np.array(punctual.error), np.array(delayed.error)
+    assert delayed.bank.estimate(lost, lost[0]) == punctual.bank.estimate(lost, lost[0])
+    assert delayed.stated[-1] == punctual.stated[-1]
+    assert abs(said[-1]) < 4.0 * punctual.stated[-1]
+    assert np.nanmax(abs(meanwhile - said)[:-60]) > 10.0 * punctual.stated[-1]  # late it was
 
 
 @pytest.fixture(name='record', scope='module')
