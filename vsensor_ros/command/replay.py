@@ -30,6 +30,7 @@ from vsensor_ros.recordings.trials import Case, run_trials, Trials
 from vsensor_ros.whole_file import write_whole
 
 USUAL = 30  # windows of a recording, where nothing is said of them
+MOST = 10_000  # windows of a recording
 SIZE = 3.0  # of a fault, in standard deviations of what its sensor says
 
 
@@ -108,6 +109,9 @@ def _act(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace, setup: Setup, recordings: Sequence[Recording],
          cases: Sequence[Case], windows: Windows, progress: Progress | None) -> Trials:
+    if max(r.seconds for r in recordings) / windows.every > MOST:
+        raise BadInput(given.dataset, 'windows', f'one every {windows.every:g} s is more than '
+                       f'{MOST} in a recording', 'give fewer')
     if not any(len(windows.starts(r.seconds)) for r in recordings):
         raise BadInput(given.dataset, 'windows', f'none of {windows.length:g} s fits into '
                        f'{max(r.seconds for r in recordings):g} s', 'give shorter ones')
