@@ -338,6 +338,20 @@ def test_wrong_arguments_are_one_line(files, capsys, arguments, says):
     assert says in error and error.count('\n') == 1
 
 
+def test_a_requirement_of_a_channel_that_is_not_lost_is_not_met_in_silence(files, capsys):
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--lose', 'b',
+                 '--require', 'a: rmse < 1e-9']) == 2
+    assert 'a: is no channel that is judged; choose from b' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('option', ['--json', '--report'])
+def test_a_file_that_cannot_be_written_is_said_before_the_work(files, capsys, option):
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), option,
+                 str(files / 'nowhere' / 'out')]) == 2
+    told = capsys.readouterr()
+    assert 'name a file in a folder that exists' in told.err and not told.out
+
+
 def test_windows_without_number_are_one_line(files, capsys):
     assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--windows', '1e-9,1']) == 2
     assert 'more than 10000 in a recording' in capsys.readouterr().err

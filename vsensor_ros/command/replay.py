@@ -74,6 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _act(given: argparse.Namespace) -> int:
+    for option, path in (('--json', given.json), ('--report', given.report)):
+        if path is not None and not path.absolute().parent.is_dir():  # before the work
+            raise BadInput(path, option, 'cannot be written', 'name a file in a folder that exists')
     if given.report is not None:
         need_libraries(given.report)
     design = Design.load(given.design)
@@ -82,9 +85,9 @@ def _act(given: argparse.Namespace) -> int:
     if (parameters is not None or any(map(is_bag, dataset.recordings))) and not find_ros('replay'):
         return 2
     setup = _setup(design, parameters, given)
-    requirements = [r for text in given.require
-                    for r in read_requirements(text, design.sensors)]
     kinds, sets = _kinds(given.faults), _sets(given.lose, design)
+    lost = [s for s in design.sensors if any(s in names for names in sets)]
+    requirements = [r for text in given.require for r in read_requirements(text, lost)]
     with shown_progress() as progress:
         recordings = dataset.load(progress)
         _check_channels(recordings, design, given.dataset)
