@@ -116,8 +116,9 @@ GOOD = robot(['revolute', 'revolute'])
     (GOOD.replace('<parent link="l0"/>', '<parent link="base"/>'), [], 'has 2 ends'),
     (GOOD.replace('<parent link="l0"/>', '<parent link="nowhere"/>'), [], "the link 'nowhere'"),
     (GOOD.replace('<child link="l1"/>', '<child link="l0"/>'), [], 'hangs on two joints'),
+    (GOOD.replace('lower="-2"', 'lower="3"'), [], 'j0.limit: begins at 3, above its end 2'),
     (BASE.format(''), [], 'the chain has 0 joints that move'),
-], ids=range(13))
+], ids=range(14))
 def test_what_is_no_chain_is_one_line(text, arguments, said, tmp_path, capsys):
     (tmp_path / 'robot.urdf').write_text(text)
     path = tmp_path / 'plant.yaml'
@@ -131,6 +132,16 @@ def test_links_without_inertia_are_said(tmp_path, capsys):
     (tmp_path / 'robot.urdf').write_text(re.sub('<inertial>.*?</inertial>', '', GOOD))
     assert main([str(tmp_path / 'robot.urdf'), '-o', str(tmp_path / 'plant.yaml')]) == 2
     assert 'have no inertia about' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('pattern', 'text', 'said'), [
+    (r'<mass value="[^"]*"', '<mass value="0"', 'l0: has an inertia, but no mass'),
+    (r'ixx="[^"]*"', 'ixx="-1"', 'l0: has the principal inertia -1')], ids=['mass', 'inertia'])
+def test_bodies_that_cannot_be_are_said(pattern, text, said, tmp_path, capsys):
+    pytest.importorskip('pinocchio')
+    (tmp_path / 'robot.urdf').write_text(re.sub(pattern, text, GOOD))
+    assert main([str(tmp_path / 'robot.urdf'), '-o', str(tmp_path / 'plant.yaml')]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_without_pinocchio_it_is_said_how_to_get_it(tmp_path, monkeypatch, capsys):

@@ -130,6 +130,16 @@ def test_jobs_say_the_same_to_the_last_bit(made, judged, jobs):
     assert told[0][:2] == (0, 8)
 
 
+def test_a_window_before_anything_was_said_leaves_the_others_their_hold_and_step(made):
+    recording, _ = machine()
+    setup = settings(made, RATE)
+    case = [Case(('b',), 'drop_out')]
+    first, rest = (judge_trials(setup, run_trials(setup, [recording], case, Windows(
+        10.0, 2.0, start), {}))[0] for start in (0.0, 10.0))
+    assert first.windows == 3 and rest.windows == 2
+    assert first.hold == pytest.approx(rest.hold) and np.isfinite(first.step)
+
+
 def test_jobs_share_all_windows_evenly():
     starts = np.arange(10.0, 3600.0, 60.0)
     for jobs, lost in ((1, 10.0), (2, 40.0), (3, 0.1), (100, 10.0)):
@@ -326,6 +336,25 @@ def test_wrong_arguments_are_one_line(files, capsys, arguments, says):
     assert main([str(files / 'heater.json'), str(files / 'set.yaml'), *arguments]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count('\n') == 1
+
+
+def test_a_requirement_of_a_channel_that_is_not_lost_is_not_met_in_silence(files, capsys):
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--lose', 'b',
+                 '--require', 'a: rmse < 1e-9']) == 2
+    assert 'a: is no channel that is judged; choose from b' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('option', ['--json', '--report'])
+def test_a_file_that_cannot_be_written_is_said_before_the_work(files, capsys, option):
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), option,
+                 str(files / 'nowhere' / 'out')]) == 2
+    told = capsys.readouterr()
+    assert 'name a file in a folder that exists' in told.err and not told.out
+
+
+def test_windows_without_number_are_one_line(files, capsys):
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--windows', '1e-9,1']) == 2
+    assert 'more than 10000 in a recording' in capsys.readouterr().err
 
 
 def test_a_channel_that_is_not_recorded_is_one_line(files, capsys):

@@ -205,3 +205,32 @@ def test_a_real_recording():
     channels = {c.name: c for c in found.channels}
     assert 400 < channels['pos_meas1'].rate < 520
     assert [w.code for w in channels['vel_filt2'].suspicions] == ['same as another']
+
+
+@pytest.mark.parametrize('text', ['t,a\n1e300,1\n2e300,2\n', 't,a\n0,1\n9000000000000000000,2\n',
+                                  't,a\n2023-11-14 22:13:20,1\n,2\n'])
+def test_times_that_no_clock_says_are_refused(tmp_path, text):
+    with pytest.raises(BadInput, match=r'run\.csv: t: (goes from|has rows without a time)'):
+        only(written(tmp_path / 'run.csv', text))
+
+
+def test_columns_that_are_not_of_numbers_are_said(tmp_path):
+    found = survey(written(tmp_path / 'run.csv', 't,a,b\n0,1,1\n1,oops,2\n'), Dataset(()))
+    assert [c.name for c in found.channels] == ['b']
+    assert 'not numbers in all rows, left out: a' in found.notes
+
+
+def test_all_is_well_before_the_first_window_as_between_the_others(tmp_path):
+    written(tmp_path / 'run.csv', 't,a\n0,1\n1,2\n')
+    text = 'recordings: [run.csv]\nwindows: {every: 20, length: 5%s}\n'
+    for more, start in (('', 15.0), (', start: 3', 3.0)):
+        found = read_dataset(written(tmp_path / 'set.yaml', text % more))
+        assert found.windows.start == start
+    assert Windows.of('20,5').start == 15.0 and Windows.of('5,20').start == 0.0
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path):
+    with pytest.raises(BadInput, match='is not there'):
+        only(tmp_path / 'nothing')
+    with pytest.raises(BadInput, match='name a dataset file'):
+        read_dataset(tmp_path / 'nothing.yaml')

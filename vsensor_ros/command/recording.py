@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--rate', type=float, help='of the rows of that table [Hz], each with '
                         'what was said last; without it a row for each stamp')
     parser.add_argument('--dataset', type=Path, metavar='FILE', help='write all this as a dataset '
-                        'file, which align, fit and replay take')
+                        'file, which fit and replay take')
     parser.add_argument('--time', default='', metavar='COLUMN', help='with the times of a table')
     parser.add_argument('--time-unit', default='', choices=tuple(UNITS))
     parser.add_argument('--period', type=float, default=0.0, help='between two rows of a table '

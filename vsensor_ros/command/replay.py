@@ -30,6 +30,7 @@ from vsensor_ros.recordings.trials import Case, run_trials, Trials
 from vsensor_ros.whole_file import write_whole
 
 USUAL = 30  # windows of a recording, where nothing is said of them
+MOST = 10_000  # windows of a recording
 SIZE = 3.0  # of a fault, in standard deviations of what its sensor says
 
 
@@ -73,6 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _act(given: argparse.Namespace) -> int:
+    for option, path in (('--json', given.json), ('--report', given.report)):
+        if path is not None and not path.absolute().parent.is_dir():  # before the work
+            raise BadInput(path, option, 'cannot be written', 'name a file in a folder that exists')
     if given.report is not None:
         need_libraries(given.report)
     design = Design.load(given.design)
@@ -81,9 +85,9 @@ def _act(given: argparse.Namespace) -> int:
     if (parameters is not None or any(map(is_bag, dataset.recordings))) and not find_ros('replay'):
         return 2
     setup = _setup(design, parameters, given)
-    requirements = [r for text in given.require
-                    for r in read_requirements(text, design.sensors)]
     kinds, sets = _kinds(given.faults), _sets(given.lose, design)
+    lost = [s for s in design.sensors if any(s in names for names in sets)]
+    requirements = [r for text in given.require for r in read_requirements(text, lost)]
     with shown_progress() as progress:
         recordings = dataset.load(progress)
         _check_channels(recordings, design, given.dataset)
@@ -108,6 +112,9 @@ def _act(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace, setup: Setup, recordings: Sequence[Recording],
          cases: Sequence[Case], windows: Windows, progress: Progress | None) -> Trials:
+    if max(r.seconds for r in recordings) / windows.every > MOST:
+        raise BadInput(given.dataset, 'windows', f'one every {windows.every:g} s is more than '
+                       f'{MOST} in a recording', 'give fewer')
     if not any(len(windows.starts(r.seconds)) for r in recordings):
         raise BadInput(given.dataset, 'windows', f'none of {windows.length:g} s fits into '
                        f'{max(r.seconds for r in recordings):g} s', 'give shorter ones')

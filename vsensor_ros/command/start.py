@@ -61,7 +61,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                      help='of mass from the joints (default: the middle)')
     arm.add_argument('--inertias', metavar='KG_M2', type=_numbers, default=[],
                      help='about these centres (default: of slender rods)')
-    arm.add_argument('--gravity', metavar='M_S2', type=float, default=GRAVITY,
+    arm.add_argument('--gravity', metavar='M_S2', type=_gravity, default=GRAVITY,
                      help='0 where the axes are vertical (default: %(default)s)')
     urdf = parser.add_argument_group('URDF')
     urdf.add_argument('--base', metavar='LINK', help='first link (default: the root)')
@@ -97,6 +97,13 @@ def _numbers(text: str) -> list[float]:
     except BadInput:
         raise argparse.ArgumentTypeError(
             f'{text!r} is not numbers with commas between') from None
+
+
+def _gravity(text: str) -> float:
+    value, *more = _numbers(text)
+    if more:
+        raise argparse.ArgumentTypeError(f'{text!r} is more than one number')
+    return value
 
 
 def _folder() -> Path:

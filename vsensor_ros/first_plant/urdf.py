@@ -120,6 +120,10 @@ def _joints(robot: Any, path: Path) -> list[Joint]:
             dynamics.get('damping', 0.0), dynamics.get('friction', 0.0)))
         if min(found[-1].damping, found[-1].friction) < 0.0:
             raise BadInput(path, f'{name}.dynamics', 'is negative', 'friction opposes the motion')
+        low, high = (found[-1].limit.get(end, 0.0) for end in ('lower', 'upper'))
+        if low > high:
+            raise BadInput(path, f'{name}.limit', f'begins at {low:g}, above its end {high:g}',
+                           'exchange lower and upper')
     return found
 
 
@@ -195,6 +199,12 @@ def _bodies(model: Any, moving: list[Joint], path: Path) -> list[Body]:
         mass = float(inertia.mass)
         if mass < 0.0:
             raise BadInput(path, joint.child, f'has the mass {mass:g}', 'correct it')
+        least, *_, most = np.linalg.eigvalsh(np.array(inertia.inertia)).tolist()
+        if least < -1e-9 * abs(most):
+            raise BadInput(path, joint.child, f'has the principal inertia {least:g} kg m^2',
+                           'correct it')
+        if not mass and most > 0.0:
+            raise BadInput(path, joint.child, 'has an inertia, but no mass', 'give it a small one')
         Q, before = turned[i - 1], turned[i - 2] if i > 1 else np.eye(3)
         centre = Q.T @ np.array(inertia.lever)
         about = Q.T @ np.array(inertia.inertia) @ Q / mass if mass else np.zeros((3, 3))

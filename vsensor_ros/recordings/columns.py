@@ -24,6 +24,7 @@ from vsensor_ros.recordings.recording import BEGIN
 TIMES = ('time', 't', 'stamp', 'timestamp', 'sec', 'seconds', 'time_s', 'tdat')
 UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}  # ns of one
 PEEKED = 2**16  # bytes of a CSV file that are looked at to know what its columns are
+FARTHEST = 2**62  # ns, 146 years: stamps are below
 LARGEST = 2**31  # bytes of a MATLAB file, which is read as a whole
 _DATE = re.compile(r'\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d{1,9})?)?(Z|[+-]\d\d:?\d\d)?')
 _LEAST = ((10**16, 'ns'), (10**13, 'us'), (10**10, 'ms'))  # a number of today, since 1970
@@ -52,6 +53,7 @@ class Table:
     clock: Clock
     rows: int = 0  # 0: not known
     units: Mapping[str, str] = field(default_factory=dict)  # by column, where the head says them
+    left: tuple[str, ...] = ()  # columns that are not of numbers
 
     def chunks(self, columns: Collection[str]) -> Iterator[Chunk]:
         """Yield stamps and values of some columns, NaN where there is none. Raises BadInput."""
@@ -75,7 +77,7 @@ def open_table(path: Path, clock: Clock = Clock()) -> Table:
     """Open a table; raises BadInput."""
     openers = {'.csv': _csv, '.tsv': _csv, '.txt': _csv, '.parquet': _parquet, '.pq': _parquet,
                '.mat': _matlab}
-    if path.suffix.lower() not in openers:
+    if path.suffix.lower() not in openers and path.is_file():
         raise BadInput(path, '', f'{path.suffix or "no suffix"} is no recording that is read here',
                        'give a bag, a .csv, .mat or .parquet file')
     if not path.is_file():
@@ -97,11 +99,17 @@ def unit_of(times: np.ndarray) -> str:
 
 def _stamps(times: np.ndarray, unit: str, path: Path, key: str) -> np.ndarray:
     if times.dtype.kind == 'M':
+        if np.isnat(times).any():
+            raise BadInput(path, key, 'has rows without a time', 'leave them out')
         return times.astype('datetime64[ns]').astype(np.int64)
+    if times.dtype.kind not in 'iu' and not np.isfinite(times).all():
+        raise BadInput(path, key, 'has rows without a time', 'leave them out')
+    low, high = float(times.min(initial=0)), float(times.max(initial=0))
+    if max(-low, high) * UNITS[unit] >= FARTHEST:
+        raise BadInput(path, key, f'goes from {low:g} to {high:g} {unit}, which no clock says',
+                       'name another column with --time, or its unit with --time-unit')
     if times.dtype.kind in 'iu':
         return times.astype(np.int64) * UNITS[unit]
-    if not np.isfinite(times).all():
-        raise BadInput(path, key, 'has rows without a time', 'leave them out')
     return np.rint(times * UNITS[unit]).astype(np.int64)
 
 
@@ -185,7 +193,8 @@ def _csv(path: Path, clock: Clock) -> Table:
             raise BadInput(path, 'recording', ' '.join(str(error).split())[:160],
                            'write numbers, nan or nothing, as many in each row') from None
     return Table(path, 'CSV', tuple(n for n in numbers if n != time), time, pieces, clock,
-                 units={n: u for n, u in units.items() if u})
+                 units={n: u for n, u in units.items() if u},
+                 left=tuple(n for n in names if n not in numbers and n != time))
 
 
 def _split_unit(name: str) -> tuple[str, str]:

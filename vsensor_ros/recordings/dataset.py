@@ -7,14 +7,14 @@ Recordings that were wired once, as a file that the commands take: paths, wiring
     time: t                             # a table's column with the times, if it is not called so
     time_unit: ms                       # of its numbers; s, or as they look
     period: 0.01                        # s between two rows of a table that has no times
-    windows: {every: 60, length: 10}    # s; start and end of the part that is judged, too
+    windows: {every: 60, length: 10}    # s; start, end, too; else the first at 50
     delays: {gyro: 0.36}                # s by which stamps are later than what they are of
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 import os
 from pathlib import Path
@@ -44,6 +44,11 @@ class Windows:
     end: float = math.inf
 
     @classmethod
+    def after_health(cls, every: float, length: float) -> Windows:
+        """Return those before the first of which all is well as long as between the others."""
+        return cls(every, length, max(0.0, every - length))
+
+    @classmethod
     def of(cls, text: str) -> Windows:
         """Return those of a command line, ``60,10``; raises BadInput."""
         try:
@@ -53,7 +58,7 @@ class Windows:
         if not (0.0 < every < math.inf and 0.0 < length < math.inf):
             raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds',
                            'write --windows 60,10')
-        return cls(every, length)
+        return cls.after_health(every, length)
 
     def starts(self, seconds: float) -> np.ndarray:
         """Return where windows begin that lie in a recording of so many seconds, (N,)."""
@@ -89,7 +94,7 @@ def load_dataset(path: str | Path, progress: Progress | None = None) -> tuple[Re
 def read_dataset(path: str | Path) -> Dataset:
     """Read a dataset file, but not what it names; raises BadInput."""
     where = Path(path)
-    found = read_yaml(where)
+    found = read_yaml(where, 'dataset file')
     if not isinstance(found, dict) or not found.get('recordings'):
         raise BadInput(where, 'recordings', 'are missing', 'list their paths: recordings: [..]')
     for key in found:
@@ -245,9 +250,9 @@ def _windows(found: object, where: Path) -> Windows | None:
     if not isinstance(found, dict) or not set(found) <= set(WINDOW_KEYS):
         raise BadInput(where, 'windows', f'{shown(found)} says no windows',
                        'write windows: {every: 60, length: 10}')
-    made = Windows(_number(found, 'every', where), _number(found, 'length', where),
-                   _number(found, 'start', where, 0.0),
-                   _number(found, 'end', where) if 'end' in found else math.inf)
+    made = Windows.after_health(_number(found, 'every', where), _number(found, 'length', where))
+    made = replace(made, start=_number(found, 'start', where, made.start),
+                   end=_number(found, 'end', where) if 'end' in found else math.inf)
     if made.every <= 0.0 or made.length <= 0.0:
         raise BadInput(where, 'windows', 'every and length must be above 0',
                        'write windows: {every: 60, length: 10}')

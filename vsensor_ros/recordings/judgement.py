@@ -109,7 +109,10 @@ def _judge(setup: Setup, trials: Trials, case: Case, channel: str) -> Judgement:
     counted = out if out.any() else np.ones(len(error), bool)
 
     def simple(name: str) -> float:
-        return _rms(_all([_error(w.peers[name], w.truth, turn) for w in windows])[counted])
+        missed = _all([_error(w.peers[name], w.truth, turn) for w in windows])[counted]
+        if name == 'hold':  # nothing to hold where nothing was said before the loss
+            missed = missed[np.isfinite(missed)]
+        return _rms(missed)
 
     def covered(deviations: float) -> float:
         return _mean(np.abs(error[out]) <= deviations * stated[out])
@@ -117,7 +120,7 @@ def _judge(setup: Setup, trials: Trials, case: Case, channel: str) -> Judgement:
     ends = [float(e[np.isfinite(e)][-1]) for w in windows
             if np.isfinite(e := np.abs(_error(w.values, w.truth, turn))).any()]
     steps = [abs(float(_error(_spoken(s)[0], s.before, turn))) for s in spoken
-             if len(_spoken(s))]
+             if len(_spoken(s)) and math.isfinite(s.before)]
     last = [float(s.times[np.isfinite(s.values)][-1]) - loss.start
             for (_, loss, _), s in zip(said, spoken) if len(_spoken(s)) and s.why is not None]
     found = [s.found for s in spoken if not math.isnan(s.found)]

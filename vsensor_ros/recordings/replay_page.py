@@ -105,7 +105,8 @@ def _picture(window: Window, j: Judgement) -> str:
     axes = figure.add_axes((0.17, 0.15, 0.8, 0.82))
     times = window.times - window.start
     axes.fill_between(times, window.values - 2 * window.deviations,
-                      window.values + 2 * window.deviations, color='tab:blue', alpha=0.2, lw=0)
+                      window.values + 2 * window.deviations, color='tab:blue', alpha=0.2, lw=0,
+                      label='2 stated deviations')
     for name, colour in (('hold', '0.6'), ('regression', 'tab:green'), ('arx', 'tab:orange')):
         axes.plot(times, window.peers[name], color=colour, lw=0.8, label=name)
     axes.plot(times, window.truth, color='black', lw=1.2, label='recorded')

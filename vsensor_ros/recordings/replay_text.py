@@ -31,14 +31,16 @@ def lines_of(j: Judgement) -> list[str]:
             f'90 % {j.p90:.3g}, 99 % {j.p99:.3g}',
             f'stated        {j.deviation:.3g}; within 1, 2, 3 deviations {_share(j.coverage1)}, '
             f'{_share(j.coverage)}, {_share(j.coverage3)}',
-            f'step          {j.step:.3g} at the switch']
+            f'step          {_number(j.step)} at the switch']
     if math.isfinite(j.until):
         said.append(f'until         {j.until:.3g} s after the loss, where it ends in the window')
     said.append('simple peers  ' + ', '.join(
         f'{name} {getattr(j, name):.3g}' for name in PEERS if not math.isnan(getattr(j, name))))
     if j.beaten:
-        said.append(f'A SIMPLE PEER WINS: {NAMES[j.best_peer]}, {getattr(j, j.best_peer):.3g}'
-                    + ('' if math.isnan(j.rmse) else f' against {j.rmse:.3g}'))
+        best = float(getattr(j, j.best_peer))
+        digits = 3 if f'{best:.3g}' != f'{j.rmse:.3g}' else 6  # it is to be seen which is less
+        said.append(f'A SIMPLE PEER WINS: {NAMES[j.best_peer]}, {best:.{digits}g}'
+                    + ('' if math.isnan(j.rmse) else f' against {j.rmse:.{digits}g}'))
     if not math.isnan(j.found):
         said.append(f'isolator      found in {_share(j.found)} of the windows, after '
                     f'{_number(j.delay)} s; others blamed in {_share(j.blamed)}; '

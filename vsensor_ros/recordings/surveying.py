@@ -77,9 +77,11 @@ def survey(path: Path, dataset: Dataset, progress: Progress | None = None) -> Su
     for name, tally in tallies.items():
         channel = clock.fill(nothing_of(name, table.units.get(columns[name], '')))
         channels.append(tally.fill(channel, channel.rate))
-    notes = (f'times: {table.time}',) if table.time else ('times: of the rows, by the period',)
+    notes = [f'times: {table.time}' if table.time else 'times: of the rows, by the period']
+    if table.left and not dataset.columns:
+        notes.append(f'not numbers in all rows, left out: {", ".join(table.left)}')
     return Survey(path.name, table.form, clock.first, (clock.last - clock.first) * 1e-9,
-                  with_copies(channels), notes)
+                  with_copies(channels), tuple(notes))
 
 
 def _survey_bag(path: Path, wiring: Path | None, progress: Progress | None) -> Survey:
