@@ -119,5 +119,5 @@ def test_without_arguments_it_lists_what_there_is(capsys):
 def test_between_what_a_parameter_is_sought_is_two_numbers_that_rise(tmp_path):
     text = filled(FOLDER, 'joint')
     for wrong in ('[2.0, 0.1]', '0.5', '[0.1]', '[1, 1]'):
-        with pytest.raises(BadInput, match='parameters.inertia.fit.*two numbers that rise'):
+        with pytest.raises(BadInput, match=r'parameters\.inertia\.fit: .*write \[low, high\]'):
             write_plant(text.replace('[0.1, 2.0]', wrong), tmp_path / 'plant.yaml')

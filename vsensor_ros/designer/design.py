@@ -370,9 +370,9 @@ def _function(plant: Plant, key: Key,
         return None
     if isinstance(found, Refusal):
         return replace(function, why=say(Reason.of('filter, none', reason=found.reason)))
-    return replace(function, why=say(Reason.of(
-        'linear, for a time' if found.grade == 'temporary' else 'linear, unproved',
-        order=found.order)))
+    of = Reason.of('linear, for a time', order=found.order) if found.grade == 'temporary' \
+        else Reason.of('linear, unproved', order=found.order)
+    return replace(function, why=say(of))
 
 
 def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:

@@ -163,6 +163,10 @@ def attempt_from(inside: Inside, begun: Sequence[Function],
     candidate = candidate_in(inside, begun)
     if candidate is None or isinstance(candidate, Answer):
         return candidate
+    if not candidate.functions:
+        return Answer(Verdict.NOT_DECIDED, Reason.of(
+            'functions static', wanted=', '.join(inside.model.wanted), out=', '.join(
+                to_text(told.fit.node) for told in candidate.told.values())))
     signs = tuple((node, 1) for name, node in targets_of(inside.model).items()
                   if not candidate.told[name].branch)
     error = error_system(candidate, signs)
