@@ -178,6 +178,16 @@ def test_it_follows_the_truth_under_a_huge_unknown_input(tmp_path, name):
     assert np.median(stated) < 10 * bar
 
 
+def test_the_motor_is_as_good_as_it_says_where_readings_are_fast(tmp_path):
+    """At 1000 Hz they are straight lines in between, at 100 Hz they are not."""
+    text, lost, observer, out, _, _, rho, u, start, bar = CASES['motor']
+    plant, found = made(tmp_path, text, lost, observer, out)
+    run = Played(plant, found, lost, 1000, 1.6, rho, u, start, 0.8)
+    error, stated = np.array(run.error), np.array(run.stated)
+    assert np.isfinite(error).mean() > 0.9 and np.sqrt(np.nanmean(error**2)) < bar
+    assert 0.5 < np.sqrt(np.nanmean((error / stated)**2)) < 1.3
+
+
 def test_one_that_started_wrong_forgets_that(tmp_path):
     """It never saw the thermometer, so that its start is the middle of the ranges."""
     text, lost, observer, out, rate, _, rho, u, start, bar = CASES['tank']
