@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vsensor_ros.designer.algebra import find, Verdict
+from vsensor_ros.designer.algebra.answer import CERTIFIED
 from vsensor_ros.designer.algebra.operators import element, Space
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import parse
@@ -110,6 +111,16 @@ def test_a_function_whose_error_grows_is_refused_with_its_rate():
     assert found.verdict is Verdict.YES and found.observer is None
     assert found.gamma == ('w**2 + 5*i**2',)
     assert found.reason.code == 'functions not stable' and found.reason.fact('growth') > 10.0
+
+
+def test_one_that_converges_goes_before_one_that_serves_for_a_time():
+    """Of X*V the error grows and of 1/(X*V) it stays; of (5 - s)/X it dies out."""
+    feed = systems.system(
+        {'s': (0.2, 4.0), 'X': (0.3, 3.0), 'V': (1.0, 5.0)},
+        ['F*(5 - s)/V - 0.8*s/(0.6 + s)*X', '-F*X/V + 0.4*s/(0.6 + s)*X', 'F'],
+        {'substrate': 's', 'volume': 'V'}, {'biomass': 'X'}, unknown={'F': (-1.0, 1.0)})
+    found = find(feed).observer
+    assert found.phi == ('(5 - s)/X',) and found.grade == CERTIFIED
 
 
 def test_two_values_within_the_ranges_are_not_decided():

@@ -152,7 +152,7 @@ def attempt(inside: Inside, wider: Callable[[], Inside]) -> Answer | None:
         if found.observer is not None and (first is None or found.observer.grade != TEMPORARY):
             return found  # that the error of 1/x stays says nothing where that of x grows
         first = first or found
-        if found.reason is None or found.reason.code != 'functions not stable':
+        if found.reason is not None and found.reason.code != 'functions not stable':
             break  # another function tells no more
     return first
 
