@@ -76,7 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _act(given: argparse.Namespace) -> int:
     for option, path in (('--json', given.json), ('--report', given.report)):
         if path is not None and not path.absolute().parent.is_dir():  # before the work
-            raise BadInput(path, option, 'cannot be written', 'name a file in a folder that exists')
+            raise BadInput(path, option, 'cannot be written',
+                           'name a file in a folder that exists')
     if given.report is not None:
         need_libraries(given.report)
     design = Design.load(given.design)
