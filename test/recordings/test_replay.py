@@ -358,6 +358,20 @@ def test_a_peer_that_wins_by_little_is_seen_to(judged):
     assert any('0.0180001 against 0.0180049' in line for line in lines_of(j))
 
 
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_an_infinite_reading_leaves_peers_and_faults_finite(made, files, capsys):
+    recording, _ = machine()
+    a = recording.tracks['a']
+    values = a.values.copy()
+    values[10] = math.inf
+    write_aligned(files / 'run.parquet', replace(recording, tracks={
+        **recording.tracks, 'a': Track(a.stamps, values, a.origin)}))
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--lose', 'a', '--rate',
+                 '25', '--faults', 'bias', '--told', '0.2', '--json', str(files / 'o')]) == 0
+    verdict, = json.loads((files / 'o').read_text())['verdicts']
+    assert verdict['rmse'] < 0.05 and verdict['arx'] is not None
+
+
 def test_windows_without_number_are_one_line(files, capsys):
     assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--windows', '1e-9,1']) == 2
     assert 'more than 10000 in a recording' in capsys.readouterr().err

@@ -177,8 +177,9 @@ def _sets(texts: Sequence[str] | None, design: Design) -> list[tuple[str, ...]]:
 
 def _sizes(texts: Sequence[str], recordings: Sequence[Recording],
            design: Design) -> dict[str, float]:
-    sizes = {s: SIZE * float(np.nanstd(np.concatenate([r.tracks[s].values for r in recordings])))
-             for s in design.sensors}
+    said = {s: np.concatenate([r.tracks[s].values for r in recordings]) for s in design.sensors}
+    sizes = {s: SIZE * float(np.std(there)) if len(there := values[np.isfinite(values)]) else 0.0
+             for s, values in said.items()}
     for text in texts:
         name, _, number = text.partition('=')
         try:
