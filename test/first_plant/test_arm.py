@@ -105,3 +105,10 @@ def test_what_is_no_arm_is_one_line(arguments, said, tmp_path, capsys):
 def test_a_plant_with_definitions_is_another_when_these_change(tmp_path):
     one = write_plant(arm_plant(Arm(MASSES[:3], LENGTHS[:3])), tmp_path / 'arm.yaml')
     assert replace(one, definitions=(*one.definitions[:-1], ('last', '1'))).hash() != one.hash()
+
+
+def test_a_gravity_that_is_no_number_is_said(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(['arm', '--masses', '1', '--lengths', '1', '--gravity', 'nan', '-o',
+              str(tmp_path / 'arm.yaml')])
+    assert "--gravity: 'nan' is not numbers" in capsys.readouterr().err

@@ -28,6 +28,7 @@ from vsensor_ros.recordings import (
 from vsensor_ros.recordings.aligned_table import write_aligned
 from vsensor_ros.recordings.fault import fault, KINDS
 from vsensor_ros.recordings.peers import peers
+from vsensor_ros.recordings.replay_text import lines_of
 from vsensor_ros.recordings.requirement import check, read_requirements
 from vsensor_ros.recordings.trials import shares
 
@@ -350,6 +351,25 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(files, capsys, op
                  str(files / 'nowhere' / 'out')]) == 2
     told = capsys.readouterr()
     assert 'name a file in a folder that exists' in told.err and not told.out
+
+
+def test_a_peer_that_wins_by_little_is_seen_to(judged):
+    j = replace(judged[1][0], rmse=0.0180049, hold=0.0180001, regression=1.0, arx=1.0)
+    assert any('0.0180001 against 0.0180049' in line for line in lines_of(j))
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_an_infinite_reading_leaves_peers_and_faults_finite(made, files, capsys):
+    recording, _ = machine()
+    a = recording.tracks['a']
+    values = a.values.copy()
+    values[10] = math.inf
+    write_aligned(files / 'run.parquet', replace(recording, tracks={
+        **recording.tracks, 'a': Track(a.stamps, values, a.origin)}))
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--lose', 'a', '--rate',
+                 '25', '--faults', 'bias', '--told', '0.2', '--json', str(files / 'o')]) == 0
+    verdict, = json.loads((files / 'o').read_text())['verdicts']
+    assert verdict['rmse'] < 0.05 and verdict['arx'] is not None
 
 
 def test_windows_without_number_are_one_line(files, capsys):

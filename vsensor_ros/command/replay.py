@@ -76,7 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _act(given: argparse.Namespace) -> int:
     for option, path in (('--json', given.json), ('--report', given.report)):
         if path is not None and not path.absolute().parent.is_dir():  # before the work
-            raise BadInput(path, option, 'cannot be written', 'name a file in a folder that exists')
+            raise BadInput(path, option, 'cannot be written',
+                           'name a file in a folder that exists')
     if given.report is not None:
         need_libraries(given.report)
     design = Design.load(given.design)
@@ -176,8 +177,9 @@ def _sets(texts: Sequence[str] | None, design: Design) -> list[tuple[str, ...]]:
 
 def _sizes(texts: Sequence[str], recordings: Sequence[Recording],
            design: Design) -> dict[str, float]:
-    sizes = {s: SIZE * float(np.nanstd(np.concatenate([r.tracks[s].values for r in recordings])))
-             for s in design.sensors}
+    said = {s: np.concatenate([r.tracks[s].values for r in recordings]) for s in design.sensors}
+    sizes = {s: SIZE * float(np.std(there)) if len(there := values[np.isfinite(values)]) else 0.0
+             for s, values in said.items()}
     for text in texts:
         name, _, number = text.partition('=')
         try:

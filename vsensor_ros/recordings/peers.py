@@ -144,7 +144,9 @@ def _run(grid: _Grid, theta: np.ndarray, n: int, starts: np.ndarray, count: int)
     """Return what a model says by itself from some rows on, (N, count); NaN where it ran away."""
     past = np.column_stack([grid.y[np.maximum(starts - i, 0)] for i in range(1, n + 1)])
     made, m = np.full((len(starts), count), np.nan), grid.x.shape[1] - 1
-    far = FAR * max(float(np.nanstd(grid.y)), 1e-300) + float(np.nanmax(np.abs(grid.y)))
+    there = grid.y[np.isfinite(grid.y)]
+    spread = float(np.std(there)) if len(there) else 0.0
+    far = FAR * max(spread, 1e-300) + float(np.abs(there).max(initial=0.0))
     with np.errstate(over='ignore', invalid='ignore'):
         for k in range(count):
             value = theta[0] + past @ theta[1:n + 1]
