@@ -244,7 +244,7 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
         if lost is not None:
             over = None  # that with fewer faults has said it
         function = None if choices.method or lost is not None else _function(plant, key, found)
-        if function is not None and function.grade != 'temporary':
+        if isinstance(function, NonlinearSensor) and function.grade != 'temporary':
             return function
         if choices.extended:
             instead = of_angle(plant, fault_set, channel, choices.spread) or filtered(
@@ -252,9 +252,13 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
             if instead is not None:
                 return replace(instead, why=beside_filter(
                     found, over, choices.follows and lost is None))
-        if function is not None and choices.temporary and isinstance(found, Refusal):
+        if isinstance(function, NonlinearSensor) and choices.temporary and \
+                isinstance(found, Refusal):
             return function
-        return entry if over is None else _not_scheduled(entry, over)
+        for why in (over, function):
+            if isinstance(why, Reason):
+                entry = _nor(entry, why)
+        return entry
 
 
 def _check(plant: Plant, prefer: str, decay: float | None, method: str | None,
@@ -356,9 +360,9 @@ def _scheduled(plant: Plant, key: Key, choices: Choices, problem: Problem,
 
 
 def _function(plant: Plant, key: Key,
-              found: VirtualSensor | Refusal) -> NonlinearSensor | None:
+              found: VirtualSensor | Refusal) -> NonlinearSensor | Reason | None:
     """
-    Return a nonlinear function where no linear one is known to converge, if there is one.
+    Return a nonlinear function where no linear one is known to converge, or why there is none.
 
     Unasked only of plants whose unknown inputs, or sensors, are nonlinear: of others the search
     would take longer than the whole design, and what it adds to Kalman filters is not known yet.
@@ -366,8 +370,8 @@ def _function(plant: Plant, key: Key,
     if plant.unknown is None:
         return None
     function = by_functions(plant, *key)
-    if not isinstance(function, NonlinearSensor):
-        return None
+    if isinstance(function, Reason):
+        return function
     if isinstance(found, Refusal):
         return replace(function, why=say(Reason.of('filter, none', reason=found.reason)))
     of = Reason.of('linear, for a time', order=found.order) if found.grade == 'temporary' \
@@ -375,8 +379,8 @@ def _function(plant: Plant, key: Key,
     return replace(function, why=say(of))
 
 
-def _not_scheduled(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:
-    """Say why gains that follow the readings would not do better."""
+def _nor(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:
+    """Say why what goes beyond constant gains would not do better."""
     nor = say(why)
     return (replace(entry, reason=f'{entry.reason}; {nor}') if isinstance(entry, Refusal)
             else replace(entry, method=f'{entry.method}; {nor}'))
