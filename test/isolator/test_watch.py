@@ -5,7 +5,7 @@ import pytest
 
 from vsensor_ros.isolator.detector import ENOUGH
 from vsensor_ros.isolator.motion import CONTRASTS
-from vsensor_ros.isolator.watch import SLACK, Watch
+from vsensor_ros.isolator.watch import Watch
 
 PERIOD = 0.1
 LEVEL = slice(0, CONTRASTS.start)
@@ -45,13 +45,3 @@ def test_motion_of_what_is_read_widens_by_contrasts_only():
     found.motion.beyond[CONTRASTS, 1] = 1.0
     assert shares(found)[0] == pytest.approx(1.0)
 
-
-def test_readings_that_go_further_than_their_estimates_widen_by_little():
-    found = watch()
-    found.channels._beyond[:] = 100.0
-    assert shares(found) == pytest.approx(SLACK)
-    found.motion.beyond[LEVEL, 0] = 1.0
-    assert shares(found)[:3] == pytest.approx([SLACK + 1.0 + 1.0, SLACK, SLACK])
-    found.motion._used[:] = -np.inf  # nothing is known of the motion: by all that they do
-    found.motion.beyond[:] = 0.0
-    assert shares(found).min() > 10.0

@@ -15,7 +15,6 @@ from vsensor_ros.isolator.motion import CONTRASTS, Motion
 PRIOR = 8.0  # times the designed noise is the threshold until enough was learnt
 WILD = 1e6  # times the designed noise is what a residual counts as at most
 FARTHEST = 3.0  # times the motion that was learnt is what motion beyond counts as at most
-SLACK = 0.15  # of its width is a threshold widened by readings while no estimate goes further
 SHORTEST = 16  # samples of a check that counts
 LASTING = 2  # the window against whose thresholds a median is held
 FAST = 0.02  # s; up to this period four samples are taken at a time
@@ -112,22 +111,20 @@ class Watch:
         """
         Return by how much motion beyond what was learnt moves the thresholds.
 
-        Of the first windows (due, 1, 2, n): level and contrast.
+        (n,), or of the first windows (due, 1, 2, n): level and contrast.
         """
-        channels, detector, error = self.channels, self.detector, self.model_error
-        widened = error * self._of_checks(channels.beyond)
-        self.motion.look()
-        share, width = self._share(), detector.width(due)
-        most = error * self._of_checks(self.motion.range)
+        channels, detector = self.channels, self.detector
+        widened = self._of_checks(channels.beyond)
         fresh = detector.learnt * detector.period < ENOUGH
-        # what readings alone tell counts little beside estimates that do not move further
-        widened = np.where(fresh | (most == 0.0), widened,
-                           np.minimum(widened, (SLACK + share) * width))
         if fresh.any():
             span = np.nan_to_num(channels.range[1] - channels.range[0])
-            widened = widened + fresh * error * self._of_checks(span)
+            widened = widened + fresh * self._of_checks(span)
+        widened *= self.model_error
+        self.motion.look()
+        share = self._share()
         if share.any():
-            widened = widened + share * np.minimum(width, most)
+            most = self.model_error * self._of_checks(self.motion.range)
+            return widened + share * np.minimum(detector.width(due), most)
         return widened
 
     def _share(self) -> Floats:
