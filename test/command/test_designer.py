@@ -54,7 +54,8 @@ def test_what_is_said_is_what_is_written(plant, tmp_path, capsys):
             left = design_text.left_out(entry)
             functional = isinstance(entry, VirtualSensor)
             assert f'{title}: can be replaced{some}{left} order' in ' '.join(block.split())
-            assert f'order             {entry.order}{" (" if functional else ","}' in block
+            filtered = entry.grade == 'filtered'
+            assert f'order             {entry.order}{"," if filtered else " ("}' in block
             assert all(name in block for name in entry.reads)
             if not functional:
                 continue
