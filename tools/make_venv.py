@@ -36,7 +36,7 @@ def main() -> int:
         return stop(f'Python {version()} has no venv: install it (Debian and Ubuntu: '
                     f'apt install python{version()}-venv) and run make again.')
     started = time.monotonic()
-    say(f'making .venv on Python {version()} (once; about 900 MB)')
+    say(f'making .venv on Python {version()} (once; about 1.6 GB)')
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text('')
     if not ((uv is not None and install([uv, 'venv', '--quiet', '--clear', '--python',
