@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from vsensor_ros.bad_input import BadInput
+from vsensor_ros.plant.plant_yaml import read_yaml
 from vsensor_ros.text_file import read_text
 
 LARGEST = 2**20  # bytes
@@ -19,7 +20,13 @@ WIDTH = 99
 
 
 def open_text(path: str | Path) -> Any:
-    """Return a plant file as a mapping that keeps comments; raise BadInput."""
+    """
+    Return a plant file as a mapping that keeps comments; raise BadInput.
+
+    What the project's own reader refuses (nested too deeply, aliases, no text) never reaches the library,
+    whose round trip takes a tag for a comment and makes no object of it.
+    """
+    read_yaml(path)
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
@@ -28,7 +35,7 @@ def open_text(path: str | Path) -> Any:
                        "install it: pip install 'vsensor_ros[fit]', or pip install ruamel.yaml",
                        ) from None
     text = read_text(path, '', 'name a plant file (YAML)', LARGEST)
-    yaml = YAML()
+    yaml = YAML(typ='rt')
     yaml.width, yaml.preserve_quotes = WIDTH, True
     try:
         return yaml.load(text)
