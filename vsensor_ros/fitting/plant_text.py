@@ -23,8 +23,8 @@ def open_text(path: str | Path) -> Any:
     """
     Return a plant file as a mapping that keeps comments; raise BadInput.
 
-    What the project's own reader refuses (nested too deeply, aliases, no text) never reaches the library,
-    whose round trip takes a tag for a comment and makes no object of it.
+    What the project's own reader refuses (nested too deeply, aliases, no text) never reaches the
+    library, whose round trip takes a tag for a comment and makes no object of it.
     """
     read_yaml(path)
     try:
