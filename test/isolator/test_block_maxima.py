@@ -10,7 +10,7 @@ from vsensor_ros.isolator.block_maxima import BlockMaxima, FEWEST, ROOM, tail, t
 def record(maxima):
     store = BlockMaxima(1, 1)
     for value in maxima:
-        store.add(0, np.array([value]), np.array([True]))
+        store.add(slice(1), np.array([[value]]), np.array([True]))
     return store
 
 
@@ -54,6 +54,6 @@ def test_a_full_store_merges_neighbours_and_forgets_no_extreme():
 def test_cells_go_at_their_own_pace():
     store = BlockMaxima(1, 2)
     for _ in range(ROOM + 3):
-        store.add(0, np.array([1.0, 2.0]), np.array([True, False]))
+        store.add(slice(1), np.array([[1.0, 2.0]]), np.array([True, False]))
     assert store.count[0].tolist()[1] == 0 and store.merged[0].tolist() == [2, 1]
     assert store.usual(0)[1] == -np.inf

@@ -25,7 +25,7 @@ def test_tests_are_the_means_of_medians_over_windows(batch):
     samples = np.random.default_rng(0).standard_normal((6144, 2)).cumsum(axis=0) / 50
     running = detector(batch)
     feed(running, samples)
-    tests = running._tests(len(WINDOWS), np.zeros((batch, 2)))[:, 0]
+    tests = (running._tests(len(WINDOWS), np.zeros((batch, 2))) / running._samples)[:, 0]
     padded = np.vstack([np.zeros((2, 2)), samples])
     middle = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     for w, window in enumerate(WINDOWS):

@@ -22,7 +22,7 @@ def tail(maxima: Floats, count: NDArray[np.int64]) -> tuple[Floats, Floats, Floa
 
     maxima (ROOM, ..) of which the first `count` (..) are used, the others are -inf.
     """
-    ordered = -np.sort(-maxima, axis=0)
+    ordered = np.sort(maxima, axis=0)[::-1]
     above = np.maximum(count // 4, 1)
     start = np.take_along_axis(ordered, np.minimum(above, ROOM - 1)[None], 0)[0]
     used = np.arange(ROOM).reshape((-1,) + (1,) * count.ndim) < above
@@ -66,25 +66,29 @@ class BlockMaxima:
         self.pending = np.full((rows, columns), -np.inf)  # of the block that is not full yet
         self.waiting = np.zeros((rows, columns), dtype=np.int64)  # base blocks in it
 
-    def add(self, row: int, maxima: Floats, known: NDArray[np.bool_]) -> None:
-        """Add one base block of each column of a row; maxima, known (columns,)."""
-        pending, waiting, count = self.pending[row], self.waiting[row], self.count[row]
-        np.maximum(pending, np.where(known, maxima, -np.inf), out=pending)
+    def add(self, rows: slice, maxima: Floats, known: NDArray[np.bool_]) -> None:
+        """Add one base block to rows; maxima (rows, columns), known (columns,) or as maxima."""
+        pending, waiting, count = self.pending[rows], self.waiting[rows], self.count[rows]
+        if known.all():
+            np.maximum(pending, maxima, out=pending)
+        else:
+            np.maximum(pending, maxima, out=pending, where=known)
         waiting += known
-        full = np.flatnonzero(waiting >= self.merged[row])
-        if not full.size:
+        full = np.nonzero(waiting >= self.merged[rows])
+        if not full[0].size:
             return
-        self.maxima[count[full], row, full] = pending[full]
+        stored, merged = self.maxima[:, rows], self.merged[rows]
+        stored[count[full], *full] = pending[full]
         pending[full] = -np.inf
         waiting[full] = 0
         count[full] += 1
-        crowded = full[count[full] == ROOM]
-        if crowded.size:
-            cells = self.maxima[:, row, crowded]
-            self.maxima[:ROOM // 2, row, crowded] = np.maximum(cells[::2], cells[1::2])
-            self.maxima[ROOM // 2:, row, crowded] = -np.inf
-            count[crowded] = ROOM // 2
-            self.merged[row, crowded] *= 2
+        row, column = (index[count[full] == ROOM] for index in full)
+        if row.size:
+            cells = stored[:, row, column]
+            stored[:ROOM // 2, row, column] = np.maximum(cells[::2], cells[1::2])
+            stored[ROOM // 2:, row, column] = -np.inf
+            count[row, column] = ROOM // 2
+            merged[row, column] *= 2
 
     def usual(self, row: int) -> Floats:
         """Return the mean of the upper quarter of each column (columns,); -inf: nothing known."""

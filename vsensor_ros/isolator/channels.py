@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
+from vsensor_ros.isolator.runs import Counts, follow, Runs
 
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
@@ -33,31 +34,28 @@ NEARLY = 1.0 - 1e-9  # sums differ by their order
 PART = 0.1  # of the range that an estimate must move beside a quiet channel that is stuck
 
 Bools = NDArray[np.bool_]
-Counts = NDArray[np.int64]
 
 
-def _slopes(kept: Floats, new: Floats) -> Floats:
-    """Put samples behind the last two that were kept; return their differences."""
-    kept[:2] = kept[-2:]
-    kept[2:] = new
-    return kept[1:] - kept[:-1]
+def _medians(samples: Floats) -> Floats:
+    """Return the medians of three (n, c) in samples (n + 2, c); NaN beside a gap."""
+    one, other, third = samples[:-2], samples[1:-1], samples[2:]
+    return np.maximum(np.minimum(one, other), np.minimum(np.maximum(one, other), third))
 
 
 class Channels:
     """Any number of channels c, a batch of samples at a time."""
 
     range: Floats
-    run: Counts
-    gap: Counts
-    _last: Floats
-    _from: Floats
-    _moved: Floats
+    _runs: Runs
     _reach: Floats
     _beyond: Floats
     _needed: Floats
+    _soonest: Floats
     _cap: Floats
     _roughest: Floats
+    _loud: Floats
     _spike: Floats
+    _jolt: Floats
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
@@ -72,23 +70,30 @@ class Channels:
         # many, what is too rough and what is a spike
         self._usual = np.full((3, count), -np.inf)
         self._reach = np.full((2, count), np.nan)
-        self._needed, self._cap, self._roughest, self._spike = (
-            np.full(count, np.inf) for _ in range(4))
-        self._count = 0  # batches
+        self._needed, self._cap, self._roughest, self._loud, self._spike, self._jolt = (
+            np.full(count, np.inf) for _ in range(6))
+        # repeats before which none is stuck, and before which no channel is
+        self._soonest, self._earliest = np.ones(count), 1.0
+        self._count = self._settled = 0  # batches, and those whose repeats and gaps were counted
         self.spiked = False  # whether any did in the last batch
         self._fades = np.exp(-batch * period / PEAK)
-        # of the block that runs: medians of three, distances from them, and bends
-        self._middle, self._apart, self._bends = (np.empty((BLOCK, count)) for _ in range(3))
+        # of the block that runs: readings and residuals, behind the last two of the block before;
+        # estimates, behind the last one; and bends
+        self._raw = np.empty((BLOCK + 2, 2, count))
+        self._estimates = np.empty((BLOCK + 1, count))
+        self._bends = np.empty((BLOCK, count))
+        self._within = np.arange(1 - batch, 1)[:, None]  # samples of a batch, the last is 0
         self.restart()
 
     def restart(self) -> None:
         """Forget the last readings, not what was learnt."""
+        self.settle()
         count = len(self.spikes)
-        self.run, self.gap = (np.zeros(count, dtype=np.int64) for _ in range(2))
-        self._flows = False  # whether the last value of each channel was a new one
-        self._last, self._from, self._moved = (np.full(count, np.nan) for _ in range(3))
-        # readings, and the residuals of their virtual sensors
-        self._raw, self._shown = (np.full((self.batch + 2, count), np.nan) for _ in range(2))
+        self._runs = Runs.none(count)
+        self._most = np.inf  # repeats that may be the last of any channel; of each, see _fresh
+        # the last sample before which a value surely was no repeat
+        self._fresh = np.full(count, self._count * self.batch, dtype=np.int64)
+        self._raw[:] = self._estimates[:] = np.nan
         self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
         self._bent = np.full((ROUGH // self.batch, count), np.nan)  # their sums, by batch
         self._beyond = np.zeros(count)
@@ -104,73 +109,115 @@ class Channels:
 
         residuals, estimates: of the virtual sensor of each channel. learn: () or (c,).
         """
-        self._count += 1
         if learn is not True:
-            self._broken[np.broadcast_to(np.logical_not(learn), self.run.shape)] = self._count
-        raw = self._raw
-        slopes, shown = _slopes(raw, readings), _slopes(self._shown, residuals)
-        # the usual case; not NaN
-        if self._flows and np.minimum.reduce(np.abs(slopes[1:]), axis=None) > 0.0:
-            self._last[:], self._from[:] = readings[-1], estimates[-1]
-            self.pairs += self.batch if learn is True else self.batch * learn
-        else:
-            self._repeat(raw, estimates, learn)
-            self._flows = not (self.run.any() or self.gap.any())
-        start = (self._count - 1) % (BLOCK // self.batch) * self.batch
-        block = slice(start, start + self.batch)
-        self._see_spikes(raw, self._middle[block], self._apart[block])
-        self._roughen(slopes, shown, self._bends[block])
+            self.settle()
+            self._broken[np.broadcast_to(np.logical_not(learn), self._broken.shape)] = \
+                self._count + 1
+        start = self._count % (BLOCK // self.batch) * self.batch
+        if not start:
+            self._raw[:2], self._estimates[0] = self._raw[-2:], self._estimates[-1]
+        self._count += 1
+        raw = self._raw[start:start + self.batch + 2]
+        raw[2:, 0], raw[2:, 1] = readings, residuals
+        self._estimates[start + 1:start + 1 + self.batch] = estimates
+        slopes = raw[1:] - raw[:-1]
+        bends = slopes[1:] - slopes[:-1]
+        np.abs(bends, out=bends)
+        self._see_spikes(raw[:, 0], bends[:, 0])
+        self._roughen(np.fmin(bends[:, 0], bends[:, 1],
+                              out=self._bends[start:start + self.batch]))
+        self._see_repeats(slopes[1:, 0], learn)
         if self._count % (BLOCK // self.batch) == 0:
             self._end_block()
 
-    def _repeat(self, raw: Floats, estimates: Floats, learn: Bools | bool) -> None:
-        """Count repeats and gaps of a batch. Row k is before sample k, row k + 1 after it."""
-        missing = np.isnan(raw[2:])
-        some = np.count_nonzero(missing) > 0
-        last, begun = raw[1:].copy(), np.vstack([self._from, estimates])
-        runs, gaps = (np.zeros(last.shape, dtype=np.int64) for _ in range(2))
-        last[0], runs[0], gaps[0] = self._last, self.run, self.gap
-        if some:
-            for k, none in enumerate(missing):
-                np.copyto(last[k + 1], last[k], where=none)
-                gaps[k + 1] = (gaps[k] + 1) * none
-        same = raw[2:] == last[:-1]
-        stays = same | missing if some else same
-        for k in range(self.batch):
-            runs[k + 1] = (runs[k] + same[k]) * stays[k]
-            np.copyto(begun[k + 1], begun[k], where=runs[k + 1] > 0)
-        moved = np.abs(estimates - begun[1:])  # since the value was new
-        if learn is True or np.any(learn):  # a gap or a run is part of a habit when it has ended
-            fresh = ~missing & learn
-            self.pairs += np.add.reduce(fresh, axis=0, dtype=np.int64)
-            ended = runs[:-1] * (fresh & ~same)
-            self.repeats += np.add.reduce(ended)
-            self.again += np.add.reduce(np.maximum(ended - 1, 0))
-            np.maximum(self.longest, np.maximum.reduce(ended), out=self.longest)
-            np.maximum(self.longest_gap, np.maximum.reduce(gaps[:-1] * fresh),
-                       out=self.longest_gap)
-            went = np.vstack([self._moved, moved[:-1]])
-            went[ended == 0] = 0.0
-            np.fmax(self.travel, np.fmax.reduce(went), out=self.travel)
-        self._last, self._from, self._moved = last[-1], begun[-1], moved[-1]
-        self.run, self.gap = runs[-1], gaps[-1]
+    def _see_repeats(self, slopes: Floats, learn: Bools | bool) -> None:
+        """Note whether a batch has repeats (b, c); they are counted when that matters."""
+        steps, now = np.abs(slopes), self._count * self.batch
+        least = float(np.minimum.reduce(steps, axis=None, initial=np.inf))
+        if least > 0.0:
+            self._most = 0
+        elif np.minimum.reduce(np.maximum.reduce(steps), initial=np.inf) > 0.0:
+            self._most = self.batch - 1  # all have changed within the batch
+        else:
+            self._fresh = np.maximum(self._fresh, now - self.batch - self._most)
+            np.maximum(self._fresh, now + np.where(slopes, self._within, -now).max(axis=0),
+                       out=self._fresh)
+            self._most = np.inf
+        if learn is not True or np.isnan(least):
+            self.settle(learn)
 
-    def _see_spikes(self, raw: Floats, middle: Floats, apart: Floats) -> None:
-        """Fill in the medians of three and how far readings are from them."""
-        np.minimum(np.maximum(raw[:-2], raw[1:-1]), raw[2:], out=middle)
-        np.maximum(np.minimum(raw[:-2], raw[1:-1]), middle, out=middle)  # NaN beside a gap
-        np.subtract(raw[1:-1], middle, out=apart)
-        np.abs(apart, out=apart)
-        spiked = apart > self._spike
-        self.spiked = np.count_nonzero(spiked) > 0
-        if self.spiked:
+    def settle(self, learn: Bools | bool = True) -> None:
+        """Count the repeats and gaps that were not counted yet; learn: () or (c,)."""
+        count = (self._count - self._settled) * self.batch
+        if not count:
+            return
+        end, self._settled = self._end(), self._count
+        raw = self._raw[end - count + 1:end + 2, 0]
+        estimates = self._estimates[end - count:end + 1]
+        learn = np.broadcast_to(learn, self.pairs.shape)
+        self.pairs += count * learn
+        before = self._runs
+        self._runs = Runs(raw[-1].copy(), *np.zeros((2, len(learn)), dtype=np.int64),
+                          estimates[-1].copy())
+        flow = np.minimum.reduce(np.abs(raw[1:] - raw[:-1])) > 0.0
+        which = np.flatnonzero(~(flow & (before.run == 0)))
+        if which.size:
+            self._count_repeats(which, Runs(*(rows[which] for rows in before)),
+                                raw[1:, which], estimates[:, which], learn[which])
+        self._most = np.inf
+        self._fresh = self._count * self.batch - self._runs.run
+        self._expect()
+
+    def _count_repeats(self, which: Counts, before: Runs, readings: Floats, estimates: Floats,
+                       learn: Bools) -> None:
+        """Count those of some channels; estimates from one sample earlier on."""
+        runs = follow(before, readings, estimates[1:])
+        for all_of, rows in zip(self._runs, runs):
+            all_of[which] = rows[-1]
+        missing = runs.gap[1:] > 0
+        self.pairs[which] -= np.add.reduce(missing & learn, axis=0, dtype=np.int64)
+        ended = runs.run[:-1] * ((runs.run[1:] == 0) & learn)  # only then it is part of a habit
+        self.repeats[which] += np.add.reduce(ended)
+        self.again[which] += np.add.reduce(np.maximum(ended - 1, 0))
+        self.longest[which] = np.maximum(self.longest[which], np.maximum.reduce(ended))
+        self.longest_gap[which] = np.maximum(
+            self.longest_gap[which], np.maximum.reduce(runs.gap[:-1] * (~missing & learn)))
+        went = np.abs(estimates[:-1] - runs.begun[:-1])
+        went[ended == 0] = 0.0
+        self.travel[which] = np.fmax(self.travel[which], np.fmax.reduce(went))
+
+    def _expect(self) -> None:
+        """Note how many repeats it takes until a channel may be stuck."""
+        self._soonest = np.where(np.isinf(self._needed), self.longest + 1, self._needed)
+        self._earliest = float(self._soonest.min(initial=np.inf))
+
+    def _end(self) -> int:
+        """Return how many samples of the block that runs are there."""
+        return (self._count - 1) % (BLOCK // self.batch) * self.batch + self.batch
+
+    @property
+    def run(self) -> Counts:
+        """How often each channel has repeated its value (c,)."""
+        self.settle()
+        return self._runs.run
+
+    @property
+    def gap(self) -> Counts:
+        """For how many samples each channel has said nothing (c,)."""
+        self.settle()
+        return self._runs.gap
+
+    def _see_spikes(self, raw: Floats, bends: Floats) -> None:
+        """Count the spikes of a batch; bends (b, c) are those of the readings."""
+        self.spiked = np.count_nonzero(bends > self._jolt) > 0
+        if self.spiked:  # there may be one: it bends by twice its height
+            spiked = np.abs(raw[1:-1] - _medians(raw)) > self._spike
+            self.spiked = np.count_nonzero(spiked) > 0
             self.spikes += spiked.sum(axis=0)
             self._spiked[spiked.any(axis=0)] = self._count
 
-    def _roughen(self, slopes: Floats, shown: Floats, bends: Floats) -> None:
-        """Fill in how much both readings and residuals bend."""
-        one, other = slopes[1:] - slopes[:-1], shown[1:] - shown[:-1]
-        np.fmin(np.abs(one, out=one), np.abs(other, out=other), out=bends)
+    def _roughen(self, bends: Floats) -> None:
+        """Keep how much both readings and residuals bend."""
         place = self._count % len(self._window)
         np.minimum(bends, self._cap, out=self._window[place])
         np.add.reduce(self._window[place], axis=0, out=self._bent[place])
@@ -178,31 +225,40 @@ class Channels:
     @property
     def beyond(self) -> Floats:
         """How far readings went beyond what was learnt (c,); that is forgotten again."""
-        behind = self._count - self._looked
+        behind = (self._count - self._looked) * self.batch
         if behind:
-            end = (self._count - 1) % (BLOCK // self.batch) + 1
-            middle = self._middle.reshape(-1, self.batch, len(self._beyond))[end - behind:end]
-            further = np.fmax(np.fmax.reduce(middle, axis=1) - self._reach[0],
-                              -np.fmin.reduce(middle, axis=1) - self._reach[1])
+            end = self._end()
+            self._look(_medians(self._raw[end - behind:end + 2, 0]))
+        return self._beyond
+
+    def _look(self, middle: Floats) -> None:
+        """Take into `beyond` the medians (n, c) that came in since it was drawn from them."""
+        self._looked = self._count
+        middle = middle.reshape(-1, self.batch, middle.shape[1])
+        further = np.fmax(np.fmax.reduce(middle, axis=1) - self._reach[0],
+                          -np.fmin.reduce(middle, axis=1) - self._reach[1])
+        if np.count_nonzero(self._beyond) or np.count_nonzero(further > 0.0):
             for row in further:
                 self._beyond *= self._fades
                 np.fmax(self._beyond, row, out=self._beyond)
-            self._looked = self._count
-        return self._beyond
 
     def _end_block(self) -> None:
-        extremes = np.stack([np.fmax.reduce(self._middle), -np.fmin.reduce(self._middle)])
+        self.settle()
+        middle = _medians(self._raw[:, 0])
+        apart = np.abs(self._raw[1:-1, 0] - middle)
+        if self._looked < self._count:
+            self._look(middle[(self._looked - self._count) * self.batch:])
+        extremes = np.stack([np.fmax.reduce(middle), -np.fmin.reduce(middle)])
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
         before = self.motion.count.copy()
-        for row in (0, 1):
-            self.motion.add(row, extremes[row], known)
+        self.motion.add(slice(0, 2), extremes, known)
         bent = self._of_block(np.minimum(self._bends, self._cap))  # a jump is no roughness
         calm = known & np.isfinite(bent) & (
             self._count - self._spiked >= BLOCK // self.batch)
-        self.motion.add(2, self.rough, calm)
+        self.motion.add(slice(2, 3), self.rough[None], calm)
         self.samples += BLOCK * calm
-        apart = self._of_block(np.minimum(self._apart, self._spike / 2))
+        apart = self._of_block(np.minimum(apart, self._spike / 2))
         share = BLOCK * calm / np.maximum(self.samples, 1)
         self.roughness += share * (np.where(calm, bent, 0.0) / BLOCK - self.roughness)
         self.usual_spike += share * (np.where(calm, apart, 0.0) / BLOCK - self.usual_spike)
@@ -213,11 +269,11 @@ class Channels:
 
     def refresh(self) -> None:
         """Draw from the record how far a channel moves, and how many repeats are too many."""
+        self._beyond = self.beyond  # by what was known until now
         self._refresh([0, 1, 2])
 
     def _refresh(self, rows: list[int]) -> None:
         """Do so; rows: of the motion, in which there is something new."""
-        self._beyond = self.beyond  # by what was known until now
         for row in rows:
             self._usual[row] = self.motion.usual(row)
         self._reach = np.where(np.isfinite(self._usual[:2]), self._usual[:2], np.nan)
@@ -229,24 +285,29 @@ class Channels:
         self._needed = np.where((share < OFTEN) & (self.pairs >= KNOWN),
                                 np.maximum(np.maximum(repeats, FEWEST_REPEATS), 2 * self.longest),
                                 np.inf)
+        self._expect()
         known = self.samples >= KNOWN
         roughest = np.maximum(self._usual[2], self.roughness)
         self._cap = np.where(known, CAP * roughest, np.inf)
         self._roughest = np.where(known, np.maximum(ROUGHER * self.roughness,
                                                     ROUGHEST * roughest), np.inf)
+        self._loud = NEARLY * ROUGH * self._roughest
         least = 0.02 * (self.range[1] - self.range[0])
         self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
+        self._jolt = 1.9 * self._spike
 
     def stuck(self, estimates: Floats) -> Bools:
         """Tell which repeat their value for too long, by their habit or beside estimates (c,)."""
-        if self._flows:
-            return np.zeros(len(self.run), dtype=bool)
+        none = np.zeros(len(self.spikes), dtype=bool)
+        if self._most < self._earliest or not np.count_nonzero(
+                self._count * self.batch - self._fresh >= self._soonest):
+            return none
         stuck, late = self.run >= self._needed, self.run > self.longest
         if np.count_nonzero(late):
             quiet = late & np.isinf(self._needed) & (self.pairs >= KNOWN) & (
                 self.repeats - self.again >= FEWEST_RUNS)
             enough = np.fmax(PART * (self.range[1] - self.range[0]), 2 * self.travel)
-            stuck |= quiet & (np.abs(estimates - self._from) > enough)
+            stuck |= quiet & (np.abs(estimates - self._runs.begun) > enough)
         return stuck
 
     @property
@@ -260,13 +321,14 @@ class Channels:
 
     def dropped(self) -> Bools:
         """Tell which have said nothing for too long."""
-        if not np.count_nonzero(self.gap):
-            return np.zeros(len(self.gap), dtype=bool)
-        return self.gap > np.maximum(MISSING / self.period, 3 * self.longest_gap)
+        # where something is not counted yet, all readings have come
+        if self._settled < self._count or not np.count_nonzero(self._runs.gap):
+            return np.zeros(len(self.spikes), dtype=bool)
+        return self._runs.gap > np.maximum(MISSING / self.period, 3 * self.longest_gap)
 
     def noisy(self) -> Bools:
         """Tell which are far rougher than the healthy machine."""
-        noisy = np.add.reduce(self._bent) > NEARLY * ROUGH * self._roughest
+        noisy = np.add.reduce(self._bent) > self._loud
         if np.count_nonzero(noisy):  # all bends are larger then, not those at spikes only
             noisy = self.rough > self._roughest
             quiet = np.quantile(self._window[:, :, noisy], 0.25, axis=(0, 1))

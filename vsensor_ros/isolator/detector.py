@@ -41,34 +41,44 @@ class Detector:
         n, count = len(prior), len(WINDOWS)
         self.period, self.batch, self.false_alarms = period, batch, false_alarms
         self.prior, self.limit, self._floor = prior, limit, -limit
-        self._length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
+        # when the sum of all squares is below it, no sample is unknown or beyond its limit
+        self._tame = float(limit.min(initial=np.inf))**2
+        length = np.array([max(1, window // batch) for window in WINDOWS])  # batches
+        self._first = int(batch > 1)  # a window of one has its extremes within a batch
+        self._ages = np.stack([length, 5 * length])[:, self._first:]
+        # samples of which there are sums: powers of two, so that nothing is rounded by them
+        self._samples = (batch * length).astype(float)[:, None, None, None]
+        self._samples[:self._first] = 1.0
         strides = [max(1, window // (4 * batch)) for window in WINDOWS]
         # how many windows are looked at, by batch; a long one is only beside all that are shorter
         self._due = [sum(i % stride == 0 for stride in strides) for i in range(strides[-1])]
         self._blocks = [block // batch for block in BLOCKS]
-        self._full = self._length[:, None] * batch + 2  # samples; and 2: the median needs them
-        self.learnt = np.zeros(n, dtype=np.int64)  # samples
+        self._full = length[:, None] * batch + 2  # samples; and 2: the median needs them
+        self._enough = (5 * self._full[:, 0]).tolist()  # for all tests of so many windows
+        self._learnt = np.zeros(n, dtype=np.int64)  # samples
+        self._owed = 0  # to all of that
         # rows: level above, level below, contrast above, contrast below; each by window
         self.maxima = BlockMaxima(TESTS, n)
         self.thresholds = np.tile(prior, (TESTS, 1))
         # by window, above and below (both as maxima), level and contrast: what is shown now, what
-        # must not be passed, and the largest of the block
+        # must not be passed, and the largest of the block; all are sums
         self._shown = np.zeros((count, 2, 2, n))
-        self._limits = np.tile(prior, (count, 2, 2, 1))
+        self._limits = np.tile(prior, (count, 2, 2, 1)) * self._samples
         self._largest = np.full((count, 2, 2, n), -np.inf)
         self._passed = np.zeros((count, 2, 2, n), dtype=bool)
         self.high = np.zeros((count, 2, n), dtype=bool)  # tests that are passed now
         self._any_high = False
         self.taught = np.full((TESTS, n), -np.inf)  # that thresholds are never below
-        self.filled = np.zeros(n, dtype=np.int64)  # samples since the start of the windows
-        self._streak = np.zeros(n, dtype=np.int64)  # samples that were learnt without a gap
+        self._count = 0  # batches
+        # batches at which the windows were empty, and the last that was not learnt
+        self._start, self._broken = (np.zeros(n, dtype=np.int64) for _ in range(2))
+        self._youngest = 0  # start of all
         self._span = SPAN // batch + 1
         self._sums = np.zeros((self._span, n))  # of all samples up to each batch
         self._past = np.zeros((SPAN // batch, batch, n))  # behind the median of three
         self._raw = np.zeros((batch + 2, n))
         self._extreme = np.empty((batch, n))  # of two samples
         self._before = np.zeros(n)  # mean of the batch before
-        self._count = 0  # batches
         self._jobs: list[tuple[int, slice]] = []
         self._next = ENOUGH / period  # learnt samples at which thresholds are computed anew
 
@@ -85,13 +95,15 @@ class Detector:
         raw = self._raw
         raw[:2] = raw[-2:]
         new = raw[2:]
-        np.maximum(samples, self._floor, out=new)
-        np.minimum(new, self.limit, out=new)
-        self.filled += self.batch
-        if np.isnan(np.add.reduce(new, axis=None)):
+        new[:] = samples
+        flat = new.reshape(-1)
+        if not flat.dot(flat) < self._tame:
+            np.maximum(samples, self._floor, out=new)
+            np.minimum(new, self.limit, out=new)
             unknown = np.isnan(new).any(axis=0)
             raw[:, unknown] = 0.0
-            self.filled[unknown] = 0
+            if np.count_nonzero(unknown):
+                self._empty(unknown)
         one, other = raw[:-2], raw[1:-1]
         middle = self._past[self._count % len(self._past)]
         np.minimum(np.maximum(one, other, out=self._extreme), new, out=middle)
@@ -102,14 +114,14 @@ class Detector:
         due = self._due[self._count % len(self._due)]
         shown = self._tests(due, middle)
         np.divide(total, self.batch, out=self._before)
-        if np.count_nonzero(self.filled < 5 * self._full[due - 1]):
+        if (self._count - self._youngest) * self.batch < self._enough[due - 1]:
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
                 np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
         self._learn(shown, due, learn)
         limits, passed = self._limits[:due], self._passed[:due]
         np.greater(shown, limits, out=passed)
         if np.count_nonzero(passed):
-            np.greater(shown - limits, widened(due), out=passed)
+            np.greater((shown - limits) / self._samples[:due], widened(due), out=passed)
         elif not self._any_high:
             return np.zeros(len(self.prior), dtype=bool)
         np.logical_or(passed[:, 0], passed[:, 1], out=self.high[:due])
@@ -117,18 +129,17 @@ class Detector:
         return np.logical_or.reduce(self.high, axis=(0, 1))
 
     def _tests(self, due: int, middle: Floats) -> Floats:
-        """Return of the first windows, above and below, level and contrast (due, 2, 2, n)."""
-        newest = self._sums[self._count % self._span]
-        first = int(self.batch > 1)  # a window of one has its extremes within a batch
-        for shown, length in zip(self._shown[first:due], self._length[first:due].tolist()):
-            level, contrast = above = shown[0]
-            np.subtract(newest, self._sums[(self._count - length) % self._span], out=level)
-            np.subtract(newest, self._sums[(self._count - 5 * length) % self._span], out=contrast)
-            contrast -= level
-            level *= 1.0 / (self.batch * length)
-            contrast *= 1.0 / (self.batch * 4 * length)
-            np.subtract(level, contrast, out=contrast)
-            np.negative(above, out=shown[1])
+        """Return sums of the first windows, above and below, level and contrast (due, 2, 2, n)."""
+        at, first, tests = self._count % self._span, self._first, due - self._first
+        old = self._sums.take(at - self._ages[:, :tests], axis=0, mode='wrap')
+        newest, above = self._sums[at], self._shown[first:due, 0]
+        level, contrast = above[:, 0], old[1]
+        np.subtract(newest, old[0], out=level)
+        np.subtract(newest, contrast, out=contrast)  # the sum of five windows
+        contrast -= level
+        contrast *= 0.25
+        np.subtract(level, contrast, out=above[:, 1])
+        np.negative(above, out=self._shown[first:due, 1])
         if first:
             above, below = self._shown[0]
             least = np.minimum.reduce(middle, axis=0)
@@ -142,16 +153,13 @@ class Detector:
         """Keep the extremes of the blocks that run, and the record of those that end."""
         largest = self._largest[:due]
         np.maximum(largest, shown, out=largest)
-        self._streak += self.batch
         if learn is True:
-            self.learnt += self.batch
+            self._owed += self.batch
         else:
-            self._streak *= learn
-            self.learnt += self.batch * np.asarray(learn)
+            self._learnt += self.batch * np.asarray(learn)
+            self._broken[np.broadcast_to(np.logical_not(learn), self._broken.shape)] = self._count
         if self._count % self._blocks[0] == 0:
-            for w, block in enumerate(self._blocks):
-                if self._count % block == 0:
-                    self._end_block(w)
+            self._end_blocks(sum(self._count % block == 0 for block in self._blocks))
             most = float(self.learnt.max(initial=0))
             if most >= self._next and not self._jobs:
                 self._next = GROWTH * most
@@ -160,14 +168,33 @@ class Detector:
         elif self._jobs:
             self._refresh(*self._jobs.pop())
 
-    def _end_block(self, w: int) -> None:
-        learnt = self._streak >= BLOCKS[w]
-        for test, span in enumerate((WINDOWS[w], 5 * WINDOWS[w])):
-            known = learnt & (self.filled >= BLOCKS[w] + span + 2)
-            row = 2 * test * len(WINDOWS) + w
+    def _end_blocks(self, due: int) -> None:
+        """Put the extremes of the blocks of the first windows on record."""
+        blocks, windows = (np.array(of[:due])[:, None] for of in (BLOCKS, WINDOWS))
+        learnt = (self._count - self._broken) * self.batch >= blocks
+        for test, span in enumerate((windows, 5 * windows)):
+            known = learnt & (self.filled >= blocks + span + 2)
             for side in (0, 1):
-                self.maxima.add(row + side * len(WINDOWS), self._largest[w, side, test], known)
-        self._largest[w] = -np.inf
+                row = (2 * test + side) * len(WINDOWS)
+                largest = self._largest[:due, side, test] / self._samples[:due, 0, 0]
+                self.maxima.add(slice(row, row + due), largest, known)
+        self._largest[:due] = -np.inf
+
+    @property
+    def learnt(self) -> NDArray[np.int64]:
+        """How many samples of a healthy machine each column has seen (n,); may be written to."""
+        self._learnt += self._owed
+        self._owed = 0
+        return self._learnt
+
+    @property
+    def filled(self) -> NDArray[np.int64]:
+        """How many samples there are since the start of the windows (n,)."""
+        return (self._count - self._start) * self.batch
+
+    def _empty(self, columns: Bools | NDArray[np.int64]) -> None:
+        """Start the windows of some columns anew."""
+        self._start[columns] = self._youngest = self._count
 
     def refresh(self, columns: slice | NDArray[np.int64] = slice(None)) -> None:
         """Compute thresholds anew from the record."""
@@ -188,7 +215,8 @@ class Detector:
             most = found + (WIDEST - 1.0) * found.mean(axis=0)
             self.thresholds[both, columns] = np.maximum(
                 found, np.minimum(most, self.taught[both, columns]))
-            self._limits[w][:, test][:, columns] = self.thresholds[both, columns]
+            self._limits[w][:, test][:, columns] = \
+                self.thresholds[both, columns] * self._samples[w]
 
     def full(self, columns: NDArray[np.int64]) -> bool:
         """Tell whether all windows of these are full: only then is silence no loss of samples."""
@@ -196,18 +224,18 @@ class Detector:
 
     def width(self, due: int) -> Floats:
         """Return half of what is between the thresholds of the first windows (due, 1, 2, n)."""
-        return self._limits[:due].mean(axis=1, keepdims=True)
+        return (self._limits[:due] / self._samples[:due]).mean(axis=1, keepdims=True)
 
     def admit(self, columns: NDArray[np.int64]) -> None:
         """Take what alarmed for healthy: thresholds get wider by half."""
-        wider = self._limits + WIDER * self.width(len(WINDOWS))
+        wider = self._limits / self._samples + WIDER * self.width(len(WINDOWS))
         # rows of the record: level and contrast, each above and below, by window
         self.taught[:, columns] = wider.transpose(2, 1, 0, 3).reshape(TESTS, -1)[:, columns]
         self.refresh(columns)
 
     def restart(self, columns: Bools | NDArray[np.int64]) -> None:
         """Forget the samples of some columns, not what was learnt: their fault is over."""
-        self.filled[columns] = 0
+        self._empty(columns)
         self.high[:, :, columns] = False
 
     def past(self, column: int, samples: int) -> Floats:

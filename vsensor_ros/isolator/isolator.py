@@ -155,7 +155,8 @@ class Isolator:
     def _judge(self, time: int) -> None:
         watch, diagnosis, now = self.watch, self._diagnosis, self._lasting(time)
         for kept in (self._readings, self._estimates):
-            if not (kept.max(initial=0.0) < LARGEST and kept.min(initial=0.0) > -LARGEST):
+            flat = kept.reshape(-1)
+            if not flat.dot(flat) < LARGEST:  # the sum of squares: not NaN, and far below
                 kept[~(np.abs(kept) < LARGEST)] = np.nan
         healthy = not diagnosis.stands
         excusable = diagnosis.excusable() if diagnosis.model else None

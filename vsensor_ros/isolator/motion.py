@@ -20,6 +20,7 @@ CONTRASTS = slice(len(WINDOWS), ROWS)
 LOOK = 128  # samples, after which motion is learnt; in between it is looked at when it counts
 PEAK = 20.0  # s in which a peak is forgotten to 1/e
 SPARE = 0.25  # of what was learnt is spared in the thresholds anyway
+FAR = 2**40  # samples
 WILD = 1e12  # what is not below it is no estimate
 
 Bools = NDArray[np.bool_]
@@ -95,19 +96,27 @@ class Motion:
     def _shown(self, places: NDArray[np.int64]) -> Floats:
         """Return the most, and the least with the other sign, of all windows (2, ROWS, c)."""
         shown = np.full(self.swings.shape, -np.inf)
+        least = self._filled.min(initial=FAR)
         for w, window in enumerate(WINDOWS):
             length = window // self.batch
             at = places[places % max(1, length // 4) == 0]
             if not at.size:
                 continue
-            newest, middle, oldest = (self._sums[(at - back) % len(self._sums)]
-                                      for back in (0, length, 5 * length))
-            level = (newest - middle) / window
-            contrast = level - (middle - oldest) / (4 * window)
-            filled = self._filled - (self._count - at)[:, None] * self.batch
-            for row, test in ((w, level), (len(WINDOWS) + w, contrast)):
-                for side, values in enumerate((test, -test)):
-                    shown[side, row] = np.where(filled >= 5 * window, values, -np.inf).max(axis=0)
+            newest, middle, oldest = self._sums.take(
+                at % len(self._sums) - [[0], [length], [5 * length]], axis=0, mode='wrap')
+            tests = np.empty((2, *newest.shape))  # level and contrast
+            np.subtract(newest, middle, out=tests[0])
+            tests[0] /= window
+            np.subtract(middle, oldest, out=tests[1])
+            tests[1] /= 4 * window
+            np.subtract(tests[0], tests[1], out=tests[1])
+            rows = shown[:, w::len(WINDOWS)]
+            np.maximum.reduce(tests, axis=1, out=rows[0])
+            np.negative(np.minimum.reduce(tests, axis=1), out=rows[1])
+            if least < 5 * window + (self._count - int(at[0])) * self.batch:
+                filled = self._filled - (self._count - at)[:, None] * self.batch >= 5 * window
+                for side, sign in enumerate((1.0, -1.0)):
+                    rows[side] = np.where(filled, sign * tests, -np.inf).max(axis=1)
         return shown
 
     def _learn(self) -> None:

@@ -33,6 +33,7 @@ SIZES = ('travel', 'roughness', 'usual_spike')  # of channels
 def save(isolator: Isolator, path: str | Path, design: str) -> None:
     """Write what was learnt, whole or not at all; design: its hash. Raises BadInput."""
     detector, channels = isolator.watch.detector, isolator.watch.channels
+    channels.settle()
     record = {
         'format': FORMAT, 'version': VERSION, 'design': design, 'period': isolator.period,
         'residuals': [r.name for r in isolator.residuals], 'sensors': list(isolator.sensors),
@@ -99,7 +100,8 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
         raise reader.fail('repeats', 'are more than pairs')
 
     def apply() -> None:
-        detector.learnt, detector.maxima, channels.motion = learnt, maxima, extremes
+        channels.settle()  # of what came in before, nothing is counted later
+        detector.learnt[:], detector.maxima, channels.motion = learnt, maxima, extremes
         detector.taught, motion.swings = taught, swings
         motion.learnt = int(learnt.max(initial=0))
         for key, values in (*counts.items(), *sizes.items()):
