@@ -90,6 +90,7 @@ class Channels:
         self.settle()
         count = len(self.spikes)
         self._runs = Runs.none(count)
+        self._plain = True  # no value has been repeated since, and no reading missed
         self._most = np.inf  # repeats that may be the last of any channel; of each, see _fresh
         # the last sample before which a value surely was no repeat
         self._fresh = np.full(count, self._count * self.batch, dtype=np.int64)
@@ -143,6 +144,7 @@ class Channels:
             np.maximum(self._fresh, now + np.where(slopes, self._within, -now).max(axis=0),
                        out=self._fresh)
             self._most = np.inf
+        self._plain &= least > 0.0
         if learn is not True or np.isnan(least):
             self.settle(learn)
 
@@ -154,19 +156,20 @@ class Channels:
         end, self._settled = self._end(), self._count
         raw = self._raw[end - count + 1:end + 2, 0]
         estimates = self._estimates[end - count:end + 1]
-        learn = np.broadcast_to(learn, self.pairs.shape)
+        learn = np.logical_and(learn, np.ones(self.pairs.shape, dtype=bool))
         self.pairs += count * learn
         before = self._runs
         self._runs = Runs(raw[-1].copy(), *np.zeros((2, len(learn)), dtype=np.int64),
                           estimates[-1].copy())
-        flow = np.minimum.reduce(np.abs(raw[1:] - raw[:-1])) > 0.0
-        which = np.flatnonzero(~(flow & (before.run == 0)))
-        if which.size:
+        if not self._plain:
+            flow = np.minimum.reduce(np.abs(raw[1:] - raw[:-1])) > 0.0
+            which = np.flatnonzero(~(flow & (before.run == 0)))
             self._count_repeats(which, Runs(*(rows[which] for rows in before)),
                                 raw[1:, which], estimates[:, which], learn[which])
+            self._plain = not np.count_nonzero(self._runs.run)
+            self._expect()
         self._most = np.inf
         self._fresh = self._count * self.batch - self._runs.run
-        self._expect()
 
     def _count_repeats(self, which: Counts, before: Runs, readings: Floats, estimates: Floats,
                        learn: Bools) -> None:
@@ -237,18 +240,19 @@ class Channels:
         middle = middle.reshape(-1, self.batch, middle.shape[1])
         further = np.fmax(np.fmax.reduce(middle, axis=1) - self._reach[0],
                           -np.fmin.reduce(middle, axis=1) - self._reach[1])
-        if np.count_nonzero(self._beyond) or np.count_nonzero(further > 0.0):
-            for row in further:
-                self._beyond *= self._fades
-                np.fmax(self._beyond, row, out=self._beyond)
+        for row in further:
+            self._beyond *= self._fades
+            np.fmax(self._beyond, row, out=self._beyond)
 
     def _end_block(self) -> None:
         self.settle()
         middle = _medians(self._raw[:, 0])
         apart = np.abs(self._raw[1:-1, 0] - middle)
-        if self._looked < self._count:
-            self._look(middle[(self._looked - self._count) * self.batch:])
         extremes = np.stack([np.fmax.reduce(middle), -np.fmin.reduce(middle)])
+        if self._looked < self._count:
+            if np.count_nonzero(self._beyond) or np.count_nonzero(extremes > self._reach):
+                self._look(middle[(self._looked - self._count) * self.batch:])
+            self._looked = self._count
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
         before = self.motion.count.copy()

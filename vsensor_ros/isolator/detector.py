@@ -113,7 +113,7 @@ class Detector:
                out=self._sums[self._count % self._span])
         due = self._due[self._count % len(self._due)]
         shown = self._tests(due, middle)
-        np.divide(total, self.batch, out=self._before)
+        np.multiply(total, 1.0 / self.batch, out=self._before)
         if (self._count - self._youngest) * self.batch < self._enough[due - 1]:
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
                 np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
