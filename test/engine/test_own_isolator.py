@@ -41,6 +41,16 @@ def servo():
     return plant, design(plant, isolate=True)
 
 
+@pytest.fixture(scope='module')
+def servo_run(servo):
+    """Return 12 s of the servo: its voltage, its states, and what healthy sensors say."""
+    plant, _ = servo
+    t = np.arange(1201) / 100
+    u = 3.0 * np.sin(0.9 * t)
+    x = simulate(plant, t, u[:, None], np.zeros((len(t), 1)), [0.0, 1.0, 0.0])
+    return u, x, x + np.random.default_rng(1).normal(0.0, 0.005, x.shape)
+
+
 def three():
     return Plant.from_matrices(
         [[-1.0]], [[1.0]], [[1.0], [2.0], [3.0]], states=['x'], inputs=['u'],
@@ -154,17 +164,13 @@ def test_an_observer_says_nothing_before_it_has_forgotten_its_start(servo):
     assert np.isnan(said[5]).any() and np.isfinite(said[-1]).all()
 
 
-def test_what_has_read_a_faulty_sensor_suspects_nobody_when_that_is_cleared(servo):
+def test_what_has_read_a_faulty_sensor_suspects_nobody_when_that_is_cleared(servo, servo_run):
     """The observer of the servo's current reads the velocity, and forgets a bias in seconds."""
-    plant, found = servo
-    t = np.arange(1201) / 100
-    u = 3.0 * np.sin(0.9 * t[:, None])
-    x = simulate(plant, t, u, np.zeros((len(t), 1)), [0.0, 1.0, 0.0])
-    run = Run(found)
-    noise, states = np.random.default_rng(1).normal(0.0, 0.005, x.shape), []
-    for k in range(len(t)):
-        bias = [0.0, 1.8 * (500 <= k < 700), 0.0]
-        run.step('voltage', u[k, 0], x[k] + noise[k] + bias)
+    _, found = servo
+    u, x, said = servo_run
+    run, states = Run(found), []
+    for k in range(len(x)):
+        run.step('voltage', u[k], said[k] + [0.0, 1.8 * (500 <= k < 700), 0.0])
         verdict = run.engine.verdict
         if k == 700:
             assert verdict.faulty == ('y2',)
@@ -175,21 +181,18 @@ def test_what_has_read_a_faulty_sensor_suspects_nobody_when_that_is_cleared(serv
     assert set(states) == {('healthy', ())}
 
 
-def test_the_onset_of_what_was_always_wrong_is_the_start(servo):
+def test_the_onset_of_what_was_always_wrong_is_the_start(servo, servo_run):
     """So that nothing goes on from readings that were as wrong before it was found."""
-    plant, found = servo
-    t = np.arange(501) / 100
-    u = 3.0 * np.sin(0.9 * t[:, None])
-    x = simulate(plant, t, u, np.zeros((len(t), 1)), [0.0, 1.0, 0.0])
+    _, found = servo
+    u, x, said = servo_run
     run = Run(found)
-    noise = np.random.default_rng(1).normal(0.0, 0.005, x.shape)
-    for k in range(len(t)):
-        run.step('voltage', u[k, 0], x[k] + noise[k] + [0.0, 1.8, 0.0])
+    for k in range(501):
+        run.step('voltage', u[k], said[k] + [0.0, 1.8, 0.0])
     fault, = run.engine.verdict.faults
     assert fault.sensor == 'y2' and fault.kind == 'bias' and fault.onset <= START + 2 * PERIOD
     assert fault.size == pytest.approx(1.8, abs=0.1)
-    (_, said), = run.sent[-1].fields
-    assert said.value == pytest.approx(x[-1, 1], abs=0.05)
+    (_, sent), = run.sent[-1].fields
+    assert sent.value == pytest.approx(x[500, 1], abs=0.05)
 
 
 def test_a_clear_forgets_what_all_residuals_have_felt_of_the_fault(found):

@@ -78,7 +78,7 @@ class BlockMaxima:
         if not full[0].size:
             return
         stored, merged = self.maxima[:, rows], self.merged[rows]
-        stored[count[full], *full] = pending[full]
+        stored[(count[full], *full)] = pending[full]
         pending[full] = -np.inf
         waiting[full] = 0
         count[full] += 1

@@ -56,6 +56,7 @@ class Channels:
     _loud: Floats
     _spike: Floats
     _jolt: Floats
+    _fresh: Floats
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
@@ -93,7 +94,7 @@ class Channels:
         self._plain = True  # no value has been repeated since, and no reading missed
         self._most = np.inf  # repeats that may be the last of any channel; of each, see _fresh
         # the last sample before which a value surely was no repeat
-        self._fresh = np.full(count, self._count * self.batch, dtype=np.int64)
+        self._fresh = np.full(count, float(self._count * self.batch))
         self._raw[:] = self._estimates[:] = np.nan
         self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
         self._bent = np.full((ROUGH // self.batch, count), np.nan)  # their sums, by batch
@@ -140,9 +141,9 @@ class Channels:
         elif np.minimum.reduce(np.maximum.reduce(steps), initial=np.inf) > 0.0:
             self._most = self.batch - 1  # all have changed within the batch
         else:
-            self._fresh = np.maximum(self._fresh, now - self.batch - self._most)
-            np.maximum(self._fresh, now + np.where(slopes, self._within, -now).max(axis=0),
-                       out=self._fresh)
+            changed = now + np.where(slopes, self._within, -now).max(axis=0)
+            self._fresh = np.maximum(changed, np.maximum(
+                self._fresh, now - self.batch - self._most))
             self._most = np.inf
         self._plain &= least > 0.0
         if learn is not True or np.isnan(least):
@@ -156,23 +157,23 @@ class Channels:
         end, self._settled = self._end(), self._count
         raw = self._raw[end - count + 1:end + 2, 0]
         estimates = self._estimates[end - count:end + 1]
-        learn = np.logical_and(learn, np.ones(self.pairs.shape, dtype=bool))
-        self.pairs += count * learn
-        before = self._runs
-        self._runs = Runs(raw[-1].copy(), *np.zeros((2, len(learn)), dtype=np.int64),
-                          estimates[-1].copy())
+        learnt = np.ones(self.pairs.shape, dtype=bool)
+        learnt &= learn
+        self.pairs += count * learnt
+        before, (run, gap) = self._runs, np.zeros((2, len(learnt)), dtype=np.int64)
+        self._runs = Runs(raw[-1].copy(), run, gap, estimates[-1].copy())
         if not self._plain:
             flow = np.minimum.reduce(np.abs(raw[1:] - raw[:-1])) > 0.0
             which = np.flatnonzero(~(flow & (before.run == 0)))
-            self._count_repeats(which, Runs(*(rows[which] for rows in before)),
-                                raw[1:, which], estimates[:, which], learn[which])
+            self._count_repeats(which, before.of(which),
+                                raw[1:, which], estimates[:, which], learnt[which])
             self._plain = not np.count_nonzero(self._runs.run)
             self._expect()
         self._most = np.inf
-        self._fresh = self._count * self.batch - self._runs.run
+        self._fresh = self._count * self.batch - self._runs.run.astype(float)
 
-    def _count_repeats(self, which: Counts, before: Runs, readings: Floats, estimates: Floats,
-                       learn: Bools) -> None:
+    def _count_repeats(self, which: NDArray[np.intp], before: Runs, readings: Floats,
+                       estimates: Floats, learn: Bools) -> None:
         """Count those of some channels; estimates from one sample earlier on."""
         runs = follow(before, readings, estimates[1:])
         for all_of, rows in zip(self._runs, runs):

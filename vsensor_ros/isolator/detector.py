@@ -100,7 +100,7 @@ class Detector:
         if not flat.dot(flat) < self._tame:
             np.maximum(samples, self._floor, out=new)
             np.minimum(new, self.limit, out=new)
-            unknown = np.isnan(new).any(axis=0)
+            unknown = np.logical_or.reduce(np.isnan(new))
             raw[:, unknown] = 0.0
             if np.count_nonzero(unknown):
                 self._empty(unknown)

@@ -1,4 +1,4 @@
-"""For how long channels have repeated their value, or said nothing, through a stretch of samples."""
+"""For how long channels have repeated their value, or said nothing, sample by sample."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ class Runs(NamedTuple):
         unknown, zero = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
         return cls(unknown, zero, zero, unknown)
 
-    def end(self) -> Runs:
-        """Return how channels were after the last sample (c,)."""
-        return Runs(*(rows[-1] for rows in self))
+    def of(self, which: NDArray[np.intp]) -> Runs:
+        """Return how some of the channels were."""
+        return Runs(self.last[..., which], self.run[..., which], self.gap[..., which],
+                    self.begun[..., which])
 
 
 def follow(before: Runs, readings: Floats, estimates: Floats) -> Runs:

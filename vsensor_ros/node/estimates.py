@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from vsensor_ros.engine import Functional, Reserve, SizeNow, Substitute
+from vsensor_ros.engine import Engine, Functional, Reserve, SizeNow, Substitute
 from vsensor_ros.node.qos import ESTIMATES, qos_options
 
 
@@ -27,6 +27,7 @@ class Estimates:
             DiagnosticArray, ESTIMATES,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
             qos_overriding_options=qos_options())
+        self._sized = 0  # time [ns] of the sizes of faults that were published last
 
     def listeners(self) -> int:
         """Return how many listen; nothing is worth computing for none."""
@@ -47,10 +48,13 @@ class Estimates:
         if functionals:
             self._publish(at, [_functional(said) for said in functionals])
 
-    def send_sizes(self, at: int, sizes: Sequence[SizeNow]) -> None:
-        """Publish how large the faults of sensors and commands are."""
-        if sizes:
-            self._publish(at, [_size(said) for said in sizes])
+    def show_sizes(self, engine: Engine) -> None:
+        """Publish how large the faults of sensors and commands are, once for each time."""
+        if self.listeners():
+            at, sizes = engine.fault_sizes()
+            if sizes and at != self._sized:
+                self._sized = at
+                self._publish(at, [_size(said) for said in sizes])
 
     def _publish(self, at: int, status: list[DiagnosticStatus]) -> None:
         message = DiagnosticArray(status=status)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from threading import RLock
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.engine import Engine, Learnt
+from vsensor_ros.engine import Engine
 from vsensor_ros.node.known import AUTO, NONE
 from vsensor_ros.node.log import Log
 
@@ -22,28 +23,40 @@ def default_path(node: str, design_hash: str) -> Path:
 class IsolationRecord:
     """One file. What is wrong with it is said in one line; then it is left as it is."""
 
-    def __init__(self, given: str, node: str, design_hash: str, log: Log) -> None:
-        """given: a path, auto or none."""
+    def __init__(self, given: str, node: str, design_hash: str, engine: Engine, lock: RLock,
+                 log: Log) -> None:
+        """
+        Let the isolator of an engine go on from what was kept.
+
+        given: a path, auto or none. lock: is held while others use the engine.
+        """
         self.path = None if given == NONE else default_path(node, design_hash) if given == AUTO \
             else Path(os.path.expanduser(given))
         self._own = given == AUTO
-        self._hash, self._log = design_hash, log
+        self._hash, self._engine, self._lock, self._log = design_hash, engine, lock, log
+        self._load()
 
-    def load(self, engine: Engine) -> None:
-        """Let the isolator go on from what was kept; a file that cannot be used is not touched."""
+    def _load(self) -> None:
+        """Go on from what was kept; a file that cannot be used is not touched."""
         if self.path is None or not self.path.exists():
             return
         try:
             if not self.path.is_file():  # reading a pipe would never end
                 raise BadInput(self.path, 'isolation record', 'is not a regular file',
                                'name another')
-            engine.go_on_from(self.path, self._hash)
+            self._engine.go_on_from(self.path, self._hash)
         except BadInput as error:
             self._log.say(f'{error}; what is learnt now is not kept')
             self.path = None
 
-    def save(self, learnt: Learnt | None) -> None:
-        """Keep what was learnt; the old file stays whole until the new one is complete."""
+    def keep(self) -> None:
+        """
+        Keep what was learnt; only copying it takes the lock.
+
+        The old file stays whole until the new one is complete.
+        """
+        with self._lock:
+            learnt = self._engine.learnt()
         if self.path is None or learnt is None:
             return
         try:

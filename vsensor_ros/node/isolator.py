@@ -1,5 +1,5 @@
 """
-The isolator as a node of its own: it listens, and says which sensors have failed.
+The isolator as a node of its own: it listens, and says which sensors have failed, by how much.
 
 It shares parameters, intake and engine with the replacer, but speaks in nobody's place, and
 listens to nobody else who isolates. It has no thread of its own: whoever polls it lets it tick.
@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 
 from vsensor_ros.engine import Live
 from vsensor_ros.node.diagnostics import encode
+from vsensor_ros.node.estimates import Estimates
 from vsensor_ros.node.graph import Complaint, complaints, ends_of, publishers
 from vsensor_ros.node.hearing import hear, start_engine
 from vsensor_ros.node.isolation_record import EVERY, IsolationRecord
@@ -59,8 +60,8 @@ class Isolator:
         self.engine = start_engine(node, settings, self.topics, self.simulated,
                                    replace(settings.isolator, mode='advise'))
         self.record = IsolationRecord(settings.isolator_record, node.get_fully_qualified_name(),
-                                      settings.design_hash, self.log)
-        self.record.load(self.engine)
+                                      settings.design_hash, self.engine, self.lock, self.log)
+        self.estimates = Estimates(node)
         hearing = hear(node, group, self.topics, settings.commands, self.engine, self.log)
         self.inlets = hearing.inlets
         takers = list(hearing.takers)
@@ -69,17 +70,12 @@ class Isolator:
         self.subscriptions: tuple[Subscription, ...] = tuple(end for end, _ in takers)
         self._takers = {key_of(subscription): take for subscription, take in takers}
 
-    def keep_record(self) -> None:
-        """Save what the isolator has learnt; only copying it takes the lock."""
-        with self.lock:
-            learnt = self.engine.learnt()
-        self.record.save(learnt)
-
     def close(self) -> None:
         """Close all topics; nothing may poll any more."""
-        self.keep_record()
+        self.record.keep()
         for subscription in self.subscriptions:
             self.node.destroy_subscription(subscription)
+        self.estimates.close(self.node)
 
     def activate(self, patient: bool = False) -> None:
         """Look from now on; what came in meanwhile is old."""
@@ -114,6 +110,7 @@ class Isolator:
                 taken += self._takers[key]()
             for at in engine.ticks():
                 engine.tick(at)
+            self.estimates.show_sizes(engine)
             if engine.changed():
                 self.changed()
             for remark in engine.remarks():
@@ -135,7 +132,7 @@ class Announcer:
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # goes on when simulated time stops
         self._timers = [node.create_timer(PERIOD, self.report, clock=steady),
                         node.create_timer(LOOK, self.look_around, clock=steady),
-                        node.create_timer(EVERY, isolator.keep_record, clock=steady)]
+                        node.create_timer(EVERY, isolator.record.keep, clock=steady)]
         self._guard = node.create_guard_condition(self.report)
         isolator.changed = self._guard.trigger
         self.active = False

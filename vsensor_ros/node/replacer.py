@@ -72,8 +72,7 @@ class Replacer:
         self.topics = open_topics(node, group, settings.sensors)
         self.engine = start_engine(node, settings, self.topics, self.simulated, self._isolator())
         self.record = IsolationRecord(settings.isolator_record, node.get_fully_qualified_name(),
-                                      settings.design_hash, self.log)
-        self.record.load(self.engine)
+                                      settings.design_hash, self.engine, self.lock, self.log)
         names = settings.isolation_names
         self.reports = Reports(
             node, group, settings.isolation_topic,
@@ -84,7 +83,6 @@ class Replacer:
                            lambda text: self.log.say(text, 'warning'))
         self.estimates = Estimates(node)
         self._shown = 0  # time of the reserves that were published last
-        self._sized = 0  # likewise of the sizes of faults
         takers: list[tuple[Subscription, Callable[[], int]]] = [
             (s, self._take_isolation) for s in self.reports.subscriptions]
         hearing = hear(node, group, self.topics, settings.commands, self.engine, self.log)
@@ -105,15 +103,9 @@ class Replacer:
             return None
         return settings
 
-    def keep_record(self) -> None:
-        """Save what the isolator has learnt; only copying it takes the lock."""
-        with self.lock:
-            learnt = self.engine.learnt()
-        self.record.save(learnt)
-
     def close(self) -> None:
         """Close all topics; nothing may poll any more."""
-        self.keep_record()
+        self.record.keep()
         with self.lock:
             for subscription in self.subscriptions:
                 self.node.destroy_subscription(subscription)
@@ -234,7 +226,7 @@ class Replacer:
                 self._sending = None
             self.pace.end()
         self._show_reserves()
-        self._show_sizes()
+        self.estimates.show_sizes(self.engine)
 
     def _show_reserves(self) -> None:
         """Publish what could be said in place of healthy sensors, and what else is wanted."""
@@ -243,15 +235,6 @@ class Replacer:
             self._shown = time
             self.estimates.send_reserves(time, self.engine.reserves())
             self.estimates.send_functionals(time, self.engine.functionals())
-
-    def _show_sizes(self) -> None:
-        """Publish how large each fault is, if somebody listens."""
-        if self.settings.design.fault_sizes is None or not self.estimates.listeners():
-            return
-        time, sizes = self.engine.fault_sizes()
-        if time not in (0, self._sized):
-            self._sized = time
-            self.estimates.send_sizes(time, sizes)
 
     def _tell(self) -> None:
         """Let people know what is new."""

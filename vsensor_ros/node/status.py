@@ -116,7 +116,7 @@ class Reporter:
         self._timers = [node.create_timer(PERIOD, self.report, clock=steady),
                         node.create_timer(LOOK, self.look_around, clock=steady)]
         if self.isolation is not None:
-            self._timers.append(node.create_timer(EVERY, replacer.keep_record, clock=steady))
+            self._timers.append(node.create_timer(EVERY, replacer.record.keep, clock=steady))
         self._guard = node.create_guard_condition(self._hurry)
         replacer.changed = self._guard.trigger
 
