@@ -44,24 +44,46 @@ def test_runs_are_what_one_sample_after_another_gives(before, gaps):
 
 
 @pytest.mark.parametrize('gaps', [False, True])
+def test_habits_are_of_the_runs_and_gaps_that_have_ended(gaps):
+    readings, estimates = resting(1024, 2, gaps)
+    channels = Channels(0.01, 4, 6)
+    for k in range(0, len(readings), 4):
+        part = slice(k, k + 4)
+        channels.step(readings[part], readings[part], estimates[part], True)
+    channels.settle()
+    for j in range(6):
+        _, run, gap, begun = step_by_step((np.nan, 0, 0, np.nan), readings[:, j], estimates[:, j])
+        here = np.isfinite(readings[:, j])
+        ended = np.where(here & (run[1:] == 0), run[:-1], 0)
+        assert channels.pairs[j] == here.sum()
+        assert channels.repeats[j] == ended.sum()
+        assert channels.again[j] == np.maximum(ended - 1, 0).sum()
+        assert channels.longest[j] == ended.max()
+        assert channels.longest_gap[j] == np.where(here, gap[:-1], 0).max()
+        went = np.abs(estimates[:-1, j] - begun[1:-1])
+        assert channels.travel[j] == np.where(ended[1:] > 0, went, 0.0).max()
+
+
+@pytest.mark.parametrize('gaps', [False, True])
 @pytest.mark.parametrize('batch', [1, 4])
 def test_what_is_counted_late_is_what_is_counted_at_once(batch, gaps):
-    readings, estimates = resting(1024, 2, gaps)
-    readings[600:640, 4] = readings[600, 4]  # stuck
+    readings, estimates = resting(2048, 2, gaps)
+    readings[:, :3] += 1e-3 * estimates[:, :3]  # these do not rest
+    readings[1600:1640, 4] = readings[1600, 4]  # stuck
     late, at_once = Channels(0.01, batch, 6), Channels(0.01, batch, 6)
     stuck = 0
     for k in range(0, len(readings), batch):
-        part = slice(k, k + batch)
+        part, learn = slice(k, k + batch), k % 768 < 740
+        if k == 900:
+            late.restart()
+            at_once.restart()
         for channels in (late, at_once):
-            channels.step(readings[part], readings[part], estimates[part], k % 256 < 200)
+            channels.step(readings[part], readings[part], estimates[part], learn)
         at_once.settle()
         found = late.stuck(estimates[k + batch - 1])
         assert (found == at_once.stuck(estimates[k + batch - 1])).all()
         assert (late.dropped() == at_once.dropped()).all()
         stuck += int(found[4])
-        if k == 512:
-            late.restart()
-            at_once.restart()
+    assert stuck
     for habit in HABITS:
         np.testing.assert_array_equal(getattr(late, habit), getattr(at_once, habit), habit)
-    assert late.repeats.any() and late.pairs[0] <= 1024
