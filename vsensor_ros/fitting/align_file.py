@@ -6,6 +6,7 @@ from pathlib import Path
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.fitting.align import Aligned
+from vsensor_ros.fitting.align_search import CLEAR
 from vsensor_ros.fitting.plant_text import open_text, put, written
 from vsensor_ros.fitting.result_file import rounded
 
@@ -50,7 +51,7 @@ def _number(where: str | Path, key: str, value: object) -> float:
 
 
 def _late(name: str, delay: float, result: Aligned) -> float:
-    if delay < -2.0 * result.errors[name]:
+    if delay < -CLEAR * result.errors[name]:
         raise BadInput('--reference', '', f'{name} is {-delay:.3g} s less late than '
                        f'{result.reference}, and no stamp_offset is below 0',
                        f'give --reference {name}, or none')

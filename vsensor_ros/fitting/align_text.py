@@ -24,7 +24,7 @@ def align_text(result: Aligned, of: str) -> list[str]:
             note = 'reference'
         elif not np.isfinite(error):
             note = 'not seen: it does not move enough, or nothing in the plant goes with it'
-        elif name in result.commands and abs(delay) > 2.0 * error:
+        elif name in result.commands and result.clear(name):
             note = 'acts later than it is said: delay of the input' if delay > 0.0 \
                 else 'acts before it is said: its stamps are late'
         elif name in result.late():
