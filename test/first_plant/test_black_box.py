@@ -103,6 +103,9 @@ def test_the_plant_file_has_the_poles_the_offsets_and_the_noise(tmp_path):
     assert offsets + plant.C @ rest == pytest.approx(
         3.0 - np.linalg.solve(rates, [1.0, 0.0]), rel=0.03)
     assert plant.noise == pytest.approx([0.02, 0.02], rel=0.3)
+    driven = plant.C @ np.diag(plant.process_noise**2) @ plant.C.T
+    assert np.sqrt(np.diag(driven)) == pytest.approx([0.01 / 0.1**0.5] * 2, rel=0.3)
+    assert offsets + plant.C @ plant.initial == pytest.approx(box.means[1:], rel=1e-4)
     assert plant.units['upper'] == 'cm'
     assert {e.grade for e in design(plant).entries.values()} == {'exact'}
 

@@ -18,7 +18,7 @@ from vsensor_ros.fitting.model import Model
 from vsensor_ros.fitting.windows import held
 from vsensor_ros.recordings import Recording
 
-LONGEST, SHORTEST, PARTS = 256, 64, 24  # nodes of a window; windows that there are to be
+LONGEST, SHORTEST, PARTS = 256, 64, 48  # nodes of a window; windows that there are to be
 MOST = 96  # windows, evenly over the recordings
 
 
