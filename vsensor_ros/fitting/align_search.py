@@ -29,6 +29,7 @@ LEAST = 4  # of these, until noise is known
 CLOSE = 0.02  # of a step: it ends
 LARGE = 3.0  # deviations, from which on an error counts by its size only
 CLEAR = 3.0  # standard errors of what is more than none, of one of several
+SURE = 2.0  # the same, of a curvature that is more than none
 UNSEEN = 0.25  # standard error, of the longest delay: nothing is seen of it
 
 
@@ -270,7 +271,7 @@ class Search:
         Return the standard errors of differences of the free delays (f, f) [s].
 
         They are of how the slopes of the costs scatter over windows. What it takes for slopes
-        over time may be noise. So all is filtered again a step of the nodes to each side, by
+        over time may be noise. So all is filtered again some steps of the nodes to each side, by
         which readings are moved as they are: how the costs really change says what is left, and
         where it is not clear, nothing is.
         """
@@ -287,11 +288,12 @@ class Search:
         h, times = self.channels.step, np.ones(len(self.free))
         for j in others:
             self.tell(int(j), len(self.free), 'standard errors')
-            aside = h * (np.arange(len(d)) == self.free[j])
+            wide = h * max(1, round(min(2.0 * np.sqrt(found[j, j]), 0.25 * self.most) / h))
+            aside = wide * (np.arange(len(d)) == self.free[j])
             ahead, back = (self._solved(self._points([d + side * aside], noise, point.slopes))
                            [0][:, j] for side in (1.0, -1.0))
-            each = (ahead - back) / (2.0 * h)
-            clear = each.sum() > CLEAR * np.sqrt(count) * np.std(each)
+            each = (ahead - back) / (2.0 * wide)
+            clear = each.sum() > SURE * np.sqrt(count) * np.std(each)
             times[j] = max(1.0, assumed[j, j] / each.sum()) if clear else np.inf
         worse = np.maximum(times, times[:, None])
         seen = np.isfinite(worse)
