@@ -44,6 +44,8 @@ def codes(path, **keys):
 
 @pytest.mark.parametrize('head, rows', [
     ('time,a [degC],note\n', '0,1.5,x\n0.1,,y\n0.2,2.5,z\n'),
+    ('# of the rig, on a monday\n\n#\ntime,a [degC]\n', '0,1.5\n# rest\n0.1,\n0.2,2.5\n'),
+    ('# by us\n# time, a [degC]\n', '0,1.5\n0.1,\n0.2,2.5\n'),
     ('t;a (degC);note\n', '0,0;1,5;x\n0,1;;y\n0,2;2,5;z\n'),
     ('# timestamp\ta [degC]\n', '1700000000000\t1.5\n1700000000100\t\n1700000000200\t2.5\n'),
     ('time,a [degC]\n', '1700000000000000000,1.5\n1700000000100000000,\n'

@@ -13,7 +13,7 @@ Recordings that were wired once, as a file that the commands take: paths, wiring
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 import math
 import os
@@ -161,15 +161,20 @@ def _read(path: Path, dataset: Dataset, progress: Progress | None) -> Recording:
     silent = [name for name, (stamps, _) in raw.items() if not len(stamps)]
     if silent or not raw:
         raise BadInput(path, ', '.join(silent), 'says nothing', 'wire it to what is recorded')
-    for name in dataset.delays:
-        if name not in raw:
-            raise BadInput(path, f'delays.{name}', 'is no channel',
-                           f'its channels are {", ".join(raw)}')
+    check_delays(path, dataset, raw)
     first = min(int(stamps.min()) for stamps, _ in raw.values())
     shift = max(0, BEGIN - first)  # a clock at 0 has not begun
     return Recording({name: Track.in_order(
         stamps + shift - round(dataset.delays.get(name, 0.0) * 1e9), values, first + shift)
         for name, (stamps, values) in raw.items()}, path.name, units)
+
+
+def check_delays(path: Path, dataset: Dataset, channels: Collection[str]) -> None:
+    """Raise BadInput where a delay is of no channel of a recording."""
+    for name in dataset.delays:
+        if name not in channels:
+            raise BadInput(path, f'delays.{name}', 'is no channel',
+                           f'its channels are {", ".join(channels)}')
 
 
 def _from_bag(path: Path, wiring: Path | None, progress: Progress | None,
