@@ -27,6 +27,7 @@ from vsensor_ros.recordings import Recording
 
 FILTERED = 24  # windows at most by which noise is found
 WHOLE = 4000  # steps of a recording that is filtered whole, at most
+EQUAL = 1e-8  # of the largest step of a sensor: below, two readings differ by rounding alone
 EVERYTHING = 10**9  # readings: more than any window has
 
 
@@ -106,7 +107,7 @@ def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: 
     guess = _guess(found)
     theta, noise = found_noise(
         model, long, found.start.theta, states, guess,
-        EVERYTHING if model.unknown else lead_of(long), _resolution(model, runs), _told(model),
+        EVERYTHING if model.unknown else lead_of(long), _resolution(model, runs), model.told(),
         bounds_of(model) if model.unknown else None)
     return theta, noise, long, states
 
@@ -131,17 +132,11 @@ def _guess(found: Found) -> Noise:
     share = np.where(drifting, 0.01, np.where(unknown, 0.1, 0.01))
     period = windows.step if model.period else 1.0
     driven = share * np.maximum(known, 1e-9) / np.sqrt(windows.horizon / period)
-    told = _told(model)
+    told = model.told()
     given = np.zeros(model.size)
     given[:len(model.given.states)] = model.given.plant.process_noise[:len(model.given.states)]
     return Noise(np.where(told, given, np.maximum(driven, 1e-12)),
                  sensors, known)
-
-
-def _told(model: Model) -> np.ndarray:
-    """Tell of which offsets (N,) the file says how they drift: windows are too short for that."""
-    noise = model.given.plant.process_noise[:len(model.given.states)]
-    return model.offsets() & np.concatenate([noise > 0.0, np.zeros(len(model.unknown), bool)])
 
 
 def _resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
@@ -150,6 +145,6 @@ def _resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
     for name in model.sensors:
         steps = np.concatenate([np.abs(np.diff(run.tracks[name].values)) for run in runs
                                 if name in run.tracks])
-        steps = steps[steps > 0.0]
+        steps = steps[steps > EQUAL * np.nanmax(steps, initial=0.0)]
         found.append(max(float(np.nanmin(steps)) if len(steps) else 0.0, 1e-15) / np.sqrt(12.0))
     return np.array(found)

@@ -126,7 +126,8 @@ def write_dataset(path: Path, dataset: Dataset) -> None:
         'columns': dict(dataset.columns), 'time': clock.column, 'time_unit': clock.unit,
         'period': clock.period,
         'windows': None if windows is None else {
-            key: value for key in WINDOW_KEYS if math.isfinite(value := getattr(windows, key))},
+            key: float(f'{value:.9g}') for key in WINDOW_KEYS
+            if math.isfinite(value := getattr(windows, key))},
         'delays': dict(dataset.delays)}
     try:
         write_whole(path, yaml.safe_dump({key: value for key, value in said.items() if value},
