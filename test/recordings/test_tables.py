@@ -228,6 +228,7 @@ def test_all_is_well_before_the_first_window_as_between_the_others(tmp_path):
     for more, start in (('', 15.0), (', start: 3', 3.0)):
         found = read_dataset(written(tmp_path / 'set.yaml', text % more))
         assert found.windows.start == start
+    assert Windows.of('20,5,7') == Windows(20.0, 5.0, 7.0)
     assert Windows.of('20,5').start == 15.0 and Windows.of('5,20').start == 0.0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from vsensor_ros.fitting.search import (
 )
 from vsensor_ros.fitting.suspicion import loops, residual_tests
 from vsensor_ros.fitting.uncertainty import Known, known
-from vsensor_ros.fitting.windows import check_channels, cut, usual_horizon, Windows
+from vsensor_ros.fitting.windows import averaging, check_channels, cut, usual_horizon, Windows
 from vsensor_ros.plant.free import FreePlant
 from vsensor_ros.recordings import Recording
 
@@ -86,8 +86,9 @@ def fit(given: FreePlant, runs: Sequence[Recording], horizon: float | None = Non
             *residual_tests(residuals, long, model.sensors, model.inputs))
     with np.errstate(all='ignore'):
         next_error = np.sqrt(np.nanmean(residuals[1:]**2, axis=(0, 2)))
+    of_readings = replace(noise, sensors=noise.sensors / averaging(runs, model, long))
     return Fit(model, windows.horizon, len(windows.run), len(moved), theta, spreads, certain,
-               noise, next_error, held, tuple(offsets), found.costs, said)
+               of_readings, next_error, held, tuple(offsets), found.costs, said)
 
 
 def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: float,
@@ -107,7 +108,7 @@ def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: 
     guess = _guess(found)
     theta, noise = found_noise(
         model, long, found.start.theta, states, guess,
-        EVERYTHING if model.unknown else lead_of(long), _resolution(model, runs), model.told(),
+        EVERYTHING if model.unknown else lead_of(long), resolution(model, runs), model.told(),
         bounds_of(model) if model.unknown else None)
     return theta, noise, long, states
 
@@ -139,7 +140,7 @@ def _guess(found: Found) -> Noise:
                  sensors, known)
 
 
-def _resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
+def resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
     """Return the noise of rounding (l,): the smallest step of what sensors said, over root 12."""
     found = []
     for name in model.sensors:

@@ -50,15 +50,17 @@ class Windows:
 
     @classmethod
     def of(cls, text: str) -> Windows:
-        """Return those of a command line, ``60,10``; raises BadInput."""
+        """Return those of a command line, ``60,10`` or ``60,10,300``; raises BadInput."""
         try:
-            every, length = map(float, text.split(','))
+            every, length, *start = map(float, text.split(','))
         except ValueError:
-            every = length = 0.0
-        if not (0.0 < every < math.inf and 0.0 < length < math.inf):
-            raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds',
-                           'write --windows 60,10')
-        return cls.after_health(every, length)
+            every, length, start = 0.0, 0.0, []
+        if not (0.0 < every < math.inf and 0.0 < length < math.inf) or len(start) > 1 or not all(
+                0.0 <= first < math.inf for first in start):
+            raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds, or '
+                           'three', 'write --windows 60,10, or with a start 60,10,300')
+        made = cls.after_health(every, length)
+        return cls(every, length, *start) if start else made
 
     def starts(self, seconds: float) -> np.ndarray:
         """Return where windows begin that lie in a recording of so many seconds, (N,)."""
