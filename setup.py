@@ -32,8 +32,8 @@ setup(
         # `ros2 run` looks here. pip would put entry points into bin/ only, whatever setup.cfg
         # says, so that what both installers have in common is a file copied to its place.
         (f'lib/{package_name}', [f'scripts/{name}' for name in (
-            'check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor', 'player',
-            'recording', 'replacer', 'replay', 'start', 'wire')]),
+            'align', 'check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor',
+            'player', 'recording', 'replacer', 'replay', 'start', 'wire')]),
     ],
     # On the PATH, where a bare `designer` would collide with anybody's.
     entry_points={

@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / 'vsensor_ros'
-COMMANDS = ('check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor',
+COMMANDS = ('align', 'check', 'demo', 'designer', 'fault_injection', 'fit', 'isolator', 'monitor',
             'player', 'recording', 'replacer', 'replay', 'start', 'wire')
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 

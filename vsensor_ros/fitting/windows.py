@@ -123,7 +123,7 @@ def cut(runs: Sequence[Recording], model: Model, horizon: float, stride: float |
                    if n in run.tracks)
         for start in np.arange(first, last - step * count + 1e-9, stride or step * count):
             grid = start + step * np.arange(count + 1)
-            inputs.append(_held(run, model, grid))
+            inputs.append(held(run, model, grid, model.given.plant.input_delay))
             readings.append(_read(run, model, grid[::every]))
             owner.append(i)
             starts.append(start)
@@ -161,10 +161,10 @@ def _ends(track: Track) -> tuple[float, float]:
     return float(track.times[0]), float(track.times[-1])
 
 
-def _held(run: Recording, model: Model, grid: np.ndarray) -> np.ndarray:
-    """Return the mean commands (T, m) of the steps between T + 1 times [s]."""
+def held(run: Recording, model: Model, grid: np.ndarray, delays: np.ndarray) -> np.ndarray:
+    """Return the mean commands (T, m), each so late (m,) [s], of the steps between T + 1 times."""
     found = []
-    for name, delay in zip(model.inputs, model.given.plant.input_delay):
+    for name, delay in zip(model.inputs, delays):
         track = run.tracks[name]
         times = track.times + delay
         if model.period is not None:

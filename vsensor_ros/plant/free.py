@@ -45,17 +45,21 @@ class FreePlant:
     seconds: float = 1.0  # of the file's unit of time
 
 
-def load_free(path: str | Path, content: dict[str, Any] | None = None) -> FreePlant:
+def load_free(path: str | Path, content: dict[str, Any] | None = None,
+              every: bool = False) -> FreePlant:
     """
     Read a plant file for a fit, or its content in place of what stands in it.
 
-    Raises BadInput, one line, where nothing in it is free.
+    every: free are all parameters that stand there as numbers, and none need be. Raises BadInput,
+    one line, where nothing in it is free.
     """
     file = Entries(path, TOP, content)
     plant = read_plant(file)
     section = file.section('parameters', ('value', 'unit', 'spread', 'fit'), 'value')
-    fits = file.fits(section)
-    if not fits:
+    fits = {name: (value - (abs(value) or 1.0), value + (abs(value) or 1.0))
+            for name, value in file.parameters.items() if name in section and isinstance(
+                section[name]['value'], int | float)} if every else file.fits(section)
+    if not fits and not every:
         raise file.fail('parameters', 'none has a key fit',
                         'give those that are to be found a range: {value: 0.3, fit: [0.1, 1.0]}')
     if 'dynamics' not in file.content:
@@ -83,6 +87,8 @@ def load_free(path: str | Path, content: dict[str, Any] | None = None) -> FreePl
         measures.append(in_its_unit(file, by_name(
             entry['measures'], f'sensors.{sensor}.measures'), sensor, entry))
     used = {name for node in (*dynamics, *measures) for name in names(node)}
+    if every:
+        fits = {name: ends for name, ends in fits.items() if name in used}
     for name in fits:
         if name not in used:
             raise file.fail(f'parameters.{name}.fit', 'no equation and no sensor depends on it',
