@@ -77,8 +77,9 @@ def write(path: Path, seed: int = 1) -> None:
             now = BEGIN + round(t[k] * 1e9)
             send('/wheel_commands', now, T[kinds['/wheel_commands']](
                 header(now), ['left', 'right'], none, set_points[k], none))
-            send('/wheels', now, T[kinds['/wheels']](header(now), ['left', 'right'], none, np.array(
-                [said['wheel_left'][k], said['wheel_right'][k]]), none))
+            turning = np.array([said['wheel_left'][k], said['wheel_right'][k]])
+            send('/wheels', now, T[kinds['/wheels']](
+                header(now), ['left', 'right'], none, turning, none))
             if t[k] < LATE:
                 continue
             old = k - round(LATE * RATE)

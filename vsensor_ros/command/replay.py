@@ -45,7 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--rate', type=float, help='of the virtual sensors [Hz]; 100 if no '
                         'parameter file says another')
     parser.add_argument('--windows', metavar='EVERY,LENGTH[,START]', help='a loss of LENGTH every '
-                        f'EVERY [s]; by default as the dataset says, else {USUAL} in each recording')
+                        f'EVERY [s]; by default as the dataset says, else {USUAL} in each '
+                        'recording')
     parser.add_argument('--lose', action='append', metavar='NAMES', help='sensors that fail '
                         'together, with commas between; may be given again. Default: all fault '
                         'sets of the design')

@@ -81,7 +81,8 @@ class Model:
         sums = [self.period is None and isinstance(node, Name) and node.id in given.states
                 and node.id != state for state, node in zip(given.states, given.dynamics)]
         unknown = [False] * len(self.unknown)
-        return (self.offsets() | np.array([*sums, *unknown])) & np.array([*(noise > 0.0), *unknown])
+        given_one = np.array([*(noise > 0.0), *unknown])
+        return (self.offsets() | np.array([*sums, *unknown])) & given_one
 
     # parameters are given as (P,), or (P, W) where windows have their own
 

@@ -346,7 +346,7 @@ class Plant:
         return {name: float(delay) for name, delay in every if delay}
 
     def noises(self) -> dict[str, float]:
-        """Return the standard deviation of one reading, by name, of sensors that have a known one."""
+        """Return the standard deviation of one reading, by name, of sensors where it is known."""
         return {name: float(noise) for name, noise in zip(self.sensors, self.noise) if noise > 0.0}
 
     def hash(self) -> str:

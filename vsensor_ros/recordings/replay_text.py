@@ -29,8 +29,8 @@ def lines_of(j: Judgement) -> list[str]:
         said += [
             f'error         rmse {j.rmse:.3g}; at the end median {j.median:.3g}, '
             f'90 % {j.p90:.3g}, 99 % {j.p99:.3g}',
-            f'stated        {j.deviation:.3g}{_reading(j)}; within 1, 2, 3 deviations {_share(j.coverage1)}, '
-            f'{_share(j.coverage)}, {_share(j.coverage3)}',
+            f'stated        {j.deviation:.3g}{_reading(j)}; within 1, 2, 3 deviations '
+            f'{_share(j.coverage1)}, {_share(j.coverage)}, {_share(j.coverage3)}',
             f'step          {_number(j.step)} at the switch']
     if math.isfinite(j.until):
         said.append(f'until         {j.until:.3g} s after the loss, where it ends in the window')
