@@ -8,9 +8,11 @@ from vsensor_ros import load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.fit import main
 from vsensor_ros.fitting import fit
+from vsensor_ros.fitting.fit import resolution
 from vsensor_ros.fitting.model import Model
+from vsensor_ros.fitting.search import search
 from vsensor_ros.fitting.suspicion import loops
-from vsensor_ros.fitting.windows import cut
+from vsensor_ros.fitting.windows import averaging, cut
 from vsensor_ros.plant.free import load_free
 from vsensor_ros.recordings import Recording, Track
 
@@ -62,6 +64,67 @@ def test_an_offset_of_each_run_is_told_from_the_parameters(tmp_path):
     result = fit(load_free(written(tmp_path, text)), runs, 1.0, tries=1)
     assert result.values == pytest.approx([0.8, 0.6], rel=0.02)
     assert [o['load'] for o in result.offsets] == pytest.approx([-0.3, 0.2], abs=0.02)
+
+
+def test_starts_do_not_bend_to_what_the_model_gets_wrong_later(tmp_path):
+    text = AXIS.replace(' - dry*sign(speed)', '').replace(
+        '  dry: {value: 0.1, fit: [0.0, 2.0]}\n', '')
+    run = recorded(written(tmp_path, **TRUTH), torques(500, 0.02, np.random.default_rng(3)))
+    result = fit(load_free(written(tmp_path, text)), [run], 1.0, tries=1)  # it knows no dry one
+    model, windows = result.model, cut([run], result.model, 1.0)
+    found = search(model, windows, result.values, 1)
+    misfits = found.shot.misfits[:, 0]
+    assert np.abs(misfits[0]).max() < 3e-3 < 0.2 * np.abs(misfits[-1]).max()
+    sizes = found.shooting.sizes()[:, 0]
+    assert sizes[0] < 0.5 * sizes[1] and (sizes[1:] == found.shooting.deviations[0]).all()
+
+
+def test_a_state_that_adds_up_another_has_no_noise_of_its_own(tmp_path, axis):
+    def driven(angle, speed=''):
+        text = AXIS.replace('angle: {unit: rad}', f'angle: {{unit: rad{angle}}}').replace(
+            'speed: {unit: rad/s}', f'speed: {{unit: rad/s{speed}}}')
+        return load_free(written(tmp_path, text))
+    assert Model(driven(', process_noise: 1e-6', ', process_noise: 1e-6')).told().tolist() == [
+        True, False]
+    assert Model(driven('')).told().tolist() == [False, False]
+    given = driven(', process_noise: 1e-6')
+    result = fit(given, [axis[1]], 1.0, tries=1)
+    assert result.noise.driven[0] == pytest.approx(1e-6)
+    assert result.noise.driven[1] != pytest.approx(1e-6)
+
+
+def test_noise_is_that_of_one_reading_where_the_grid_lies_between_stamps(axis):
+    model, random = axis[2].model, np.random.default_rng(2)
+    t = np.cumsum(random.uniform(0.01, 0.03, 4000))
+    run = Recording({'encoder': Track.of(t, random.standard_normal(4000)),
+                     'torque': Track.of(t, np.zeros(4000))})
+    windows = cut([run], model, 2.0)
+    on_grid = np.nanstd(windows.readings)
+    assert on_grid < 0.9
+    assert on_grid / averaging([run], model, windows)[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_rounding_is_no_step_of_a_sensor(axis):
+    model, random = axis[2].model, np.random.default_rng(1)
+    counts = np.round(np.cumsum(random.standard_normal(400)))
+    values = 0.05 * counts + 1e-15 * random.standard_normal(400)
+    run = Recording({'encoder': Track.of(0.01 * np.arange(400), values)})
+    assert resolution(model, [run])[0] == pytest.approx(0.05 / np.sqrt(12.0))
+
+
+def test_windows_that_would_judge_what_was_fitted_are_said(tmp_path, capsys):
+    run = recorded(written(tmp_path, **TRUTH), torques(300, 0.02, np.random.default_rng(3)))
+    t, y, u = run.tracks['encoder'].times, *(run.tracks[n].values for n in ('encoder', 'torque'))
+    np.savetxt(tmp_path / 'run.csv', np.column_stack([t, y, u]), delimiter=',', comments='',
+               header='time,encoder,torque')
+    (tmp_path / 'axis.yaml').write_text(
+        'recordings: [run.csv]\nwindows: {every: 1, length: 0.5, start: 4}\n')
+    arguments = [str(written(tmp_path)), str(tmp_path / 'axis.yaml'), '--horizon', '0.5',
+                 '--tries', '1']
+    assert main([*arguments, '--to', '4']) == 0
+    assert 'windows' not in capsys.readouterr().err
+    assert main(arguments) == 0
+    assert 'the windows of axis.yaml are in what is fitted to' in capsys.readouterr().err
 
 
 def test_a_command_computed_from_a_sensor_is_said(tmp_path):

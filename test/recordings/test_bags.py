@@ -225,6 +225,17 @@ def test_a_broken_bag_is_one_line(tmp_path, wiring):
         assert 'rig.bag' in str(raised.value) and '\n' not in str(raised.value)
 
 
+def test_a_bag_whose_recorder_was_killed_is_mended_by_name(tmp_path, wiring):
+    write_bag(tmp_path / 'rig', 50, 'mcap')
+    file, = (tmp_path / 'rig').glob('*.mcap')
+    (tmp_path / 'cut.mcap').write_bytes(file.read_bytes()[:-300])
+    with pytest.raises(BadInput, match='mcap recover'):
+        only(Dataset((tmp_path / 'cut.mcap',), wiring))
+    (tmp_path / 'rig' / 'metadata.yaml').unlink()
+    with pytest.raises(BadInput, match='ros2 bag reindex'):
+        only(Dataset((tmp_path / 'rig',), wiring))
+
+
 def test_a_message_that_is_none_is_left_out(tmp_path, wiring):
     write_bag(tmp_path / 'rig', 20)
     file, = (tmp_path / 'rig').glob('*.db3')

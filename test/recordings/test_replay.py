@@ -172,6 +172,30 @@ def test_a_static_relation_is_won_by_a_regression(made):
     j, = judge_trials(setup, trials)
     assert j.best_peer in ('regression', 'arx') and j.beaten
     assert j.regression == pytest.approx(3.0 * NOISE, rel=0.3) and j.rmse > 0.3
+    said, = (line for line in lines_of(j) if line.startswith('A SIMPLE PEER WINS'))
+    assert f'a static regression on the other channels {j.regression:.3g}' in said
+
+
+def test_peers_do_not_win_where_nothing_went_out(judged):
+    j = replace(judged[1][0], rmse=math.nan, served=0.0)
+    assert not j.beaten and not any('WINS' in line for line in lines_of(j))
+    alone = replace(j, hold=math.nan, regression=math.nan, arx=math.nan)
+    assert not any('simple peers' in line for line in lines_of(alone))
+
+
+def test_a_right_model_of_a_noisy_sensor_covers_what_it_says(tmp_path):
+    (tmp_path / 'plant.yaml').write_text(PLANT.replace('outer, noise: 0.01', 'outer, noise: 0.2'))
+    setup = settings(design(load_plant(tmp_path / 'plant.yaml')), RATE)
+    recording, truth = machine(80.0)
+    b = recording.tracks['b']
+    noise = 0.2 * np.random.default_rng(5).standard_normal(len(b.values))
+    noisy = replace(recording, tracks={**recording.tracks, 'b': Track(
+        b.stamps, truth['b'] + noise)})
+    j, = judge_trials(setup, run_trials(setup, [noisy], [Case(('b',), 'drop_out')], WINDOWS, {}))
+    assert j.noise == 0.2 and j.deviation < 0.05
+    assert 0.6 < j.coverage1 < 0.76 and 0.92 < j.coverage < 0.98
+    assert any('with the noise of a reading 0.20' in line for line in lines_of(j))
+    assert not any('noise of a reading' in line for line in lines_of(replace(j, noise=1e-4)))
 
 
 def test_an_arx_model_finds_a_linear_machine():
@@ -370,6 +394,17 @@ def test_an_infinite_reading_leaves_peers_and_faults_finite(made, files, capsys)
                  '25', '--faults', 'bias', '--told', '0.2', '--json', str(files / 'o')]) == 0
     verdict, = json.loads((files / 'o').read_text())['verdicts']
     assert verdict['rmse'] < 0.05 and verdict['arx'] is not None
+
+
+def test_a_sensor_that_is_slower_than_its_max_age_is_named(files, capsys):
+    recording, _ = machine()
+    b = recording.tracks['b']
+    write_aligned(files / 'run.parquet', replace(recording, tracks={
+        **recording.tracks, 'b': Track(b.stamps[::20], b.values[::20], b.origin)}))
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--rate', '25']) == 0
+    error = capsys.readouterr().err
+    assert 'b speaks every 0.8 s' in error and 'sensors.b.max_age: 2.4' in error
+    assert error.count('\n') == 1
 
 
 def test_windows_without_number_are_one_line(files, capsys):

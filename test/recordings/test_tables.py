@@ -44,6 +44,8 @@ def codes(path, **keys):
 
 @pytest.mark.parametrize('head, rows', [
     ('time,a [degC],note\n', '0,1.5,x\n0.1,,y\n0.2,2.5,z\n'),
+    ('# of the rig, on a monday\n\n#\ntime,a [degC]\n', '0,1.5\n# rest\n0.1,\n0.2,2.5\n'),
+    ('# by us\n# time, a [degC]\n', '0,1.5\n0.1,\n0.2,2.5\n'),
     ('t;a (degC);note\n', '0,0;1,5;x\n0,1;;y\n0,2;2,5;z\n'),
     ('# timestamp\ta [degC]\n', '1700000000000\t1.5\n1700000000100\t\n1700000000200\t2.5\n'),
     ('time,a [degC]\n', '1700000000000000000,1.5\n1700000000100000000,\n'
@@ -226,6 +228,7 @@ def test_all_is_well_before_the_first_window_as_between_the_others(tmp_path):
     for more, start in (('', 15.0), (', start: 3', 3.0)):
         found = read_dataset(written(tmp_path / 'set.yaml', text % more))
         assert found.windows.start == start
+    assert Windows.of('20,5,7') == Windows(20.0, 5.0, 7.0)
     assert Windows.of('20,5').start == 15.0 and Windows.of('5,20').start == 0.0
 
 

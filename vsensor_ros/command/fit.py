@@ -15,7 +15,7 @@ from vsensor_ros.fitting.fit_text import fit_text, tried_text
 from vsensor_ros.fitting.friction import chosen, tried
 from vsensor_ros.fitting.plant_text import open_text, with_structure
 from vsensor_ros.fitting.result_file import fitted_text, write_fitted
-from vsensor_ros.fitting.runs import read_runs
+from vsensor_ros.fitting.runs import also_judged, read_runs
 from vsensor_ros.plant.free import load_free
 
 
@@ -50,6 +50,9 @@ def _act(given: argparse.Namespace) -> int:
     free = None if given.structure else load_free(given.plant)
     content = None if given.output is None else open_text(given.plant)
     runs = read_runs(given.recordings, given.first, given.last)
+    for name in also_judged(given.recordings, given.first, given.last):
+        print(f'fit: the windows of {name} are in what is fitted to, so that they judge nothing '
+              'new: give --to, and windows a start behind it', file=sys.stderr)
     lines: list[str] = []
     with shown_progress() as progress:
         if free is None:

@@ -40,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--time-unit', default='', choices=tuple(UNITS))
     parser.add_argument('--period', type=float, default=0.0, help='between two rows of a table '
                         'that has no times [s]')
-    parser.add_argument('--windows', metavar='EVERY,LENGTH', help='for the dataset file: a window '
-                        'of LENGTH every EVERY [s]')
+    parser.add_argument('--windows', metavar='EVERY,LENGTH[,START]', help='for the dataset file: '
+                        'a window of LENGTH every EVERY [s]')
     given = parser.parse_args(arguments)
     if given.rate is not None and not 0.0 < given.rate < math.inf:
         parser.error('--rate must be positive')

@@ -44,8 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         "engine's settings; by default the one that wires the dataset")
     parser.add_argument('--rate', type=float, help='of the virtual sensors [Hz]; 100 if no '
                         'parameter file says another')
-    parser.add_argument('--windows', metavar='EVERY,LENGTH', help='a loss of LENGTH every EVERY '
-                        f'[s]; by default as the dataset says, else {USUAL} in each recording')
+    parser.add_argument('--windows', metavar='EVERY,LENGTH[,START]', help='a loss of LENGTH every '
+                        f'EVERY [s]; by default as the dataset says, else {USUAL} in each '
+                        'recording')
     parser.add_argument('--lose', action='append', metavar='NAMES', help='sensors that fail '
                         'together, with commas between; may be given again. Default: all fault '
                         'sets of the design')
@@ -92,6 +93,8 @@ def _act(given: argparse.Namespace) -> int:
     with shown_progress() as progress:
         recordings = dataset.load(progress)
         _check_channels(recordings, design, given.dataset)
+        for line in _slow(setup, recordings):
+            print(f'replay: {line}', file=sys.stderr)
         windows = dataset.windows or _usual(recordings)
         trials = _run(given, setup, recordings,
                       [Case(names, kind) for names in sets for kind in kinds], windows, progress)
@@ -198,6 +201,19 @@ def _check_channels(recordings: Sequence[Recording], design: Design, where: Path
         if lacking:
             raise BadInput(where, recording.name, f'lacks {", ".join(lacking)}', 'wire all sensors'
                            f' and commands; it has {", ".join(recording.tracks)}')
+
+
+def _slow(setup: Setup, recordings: Sequence[Recording]) -> list[str]:
+    """Say which sensors are taken for silent, because they speak less often than is allowed."""
+    said = []
+    for name in setup.design.sensors:
+        between = np.concatenate([np.diff(r.tracks[name].stamps) for r in recordings]) * 1e-9
+        allowed = max(setup.max_age[name], 3.0 / setup.rate)
+        if len(between) and (usual := float(np.median(between))) > allowed:
+            said.append(f'{name} speaks every {usual:.3g} s, and is taken for silent after '
+                        f'{allowed:.3g} s: give --params-file with sensors.{name}.max_age: '
+                        f'{3.0 * usual:.3g}')
+    return said
 
 
 def _usual(recordings: Sequence[Recording]) -> Windows:

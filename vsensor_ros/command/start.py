@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 import math
 from pathlib import Path
+from shlex import quote
 import sys
 
 from vsensor_ros.bad_input import BadInput
@@ -47,8 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print('start: stopped', file=sys.stderr)
         return 130
     print(f'{plant.name}: {len(plant.states)} states, {len(plant.sensors)} sensors, written to '
-          f'{options.output}\nEdit what its comments ask for; then: designer {options.output} '
-          f'-o {plant.name}.design.json')
+          f'{options.output}\nEdit what its comments ask for; then: designer '
+          f'{quote(str(options.output))} -o {plant.name}.design.json')
     return 0
 
 

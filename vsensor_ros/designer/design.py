@@ -141,7 +141,7 @@ def design(plant: Plant, fault_sets: Iterable[Iterable[str]] | None = None, *,
                    dict(plant.units), plant.sample_time, {}, wanted=tuple(functionals),
                    Cu=plant.Cu if plant.Cu.any() else None, tolerances=dict(plant.tolerances),
                    ranges=plant.reading_ranges(), wrap=plant.angles(), curves=dict(plant.curves),
-                   delays=plant.delays())
+                   delays=plant.delays(), noise=plant.noises())
     own = None if executor is None else fingerprint(plant)
 
     def question(key: Key, lost: Refusal | None) -> tuple[Any, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,12 +21,13 @@ from vsensor_ros.fitting.search import (
 )
 from vsensor_ros.fitting.suspicion import loops, residual_tests
 from vsensor_ros.fitting.uncertainty import Known, known
-from vsensor_ros.fitting.windows import check_channels, cut, usual_horizon, Windows
+from vsensor_ros.fitting.windows import averaging, check_channels, cut, usual_horizon, Windows
 from vsensor_ros.plant.free import FreePlant
 from vsensor_ros.recordings import Recording
 
 FILTERED = 24  # windows at most by which noise is found
 WHOLE = 4000  # steps of a recording that is filtered whole, at most
+EQUAL = 1e-8  # of the largest step of a sensor: below, two readings differ by rounding alone
 EVERYTHING = 10**9  # readings: more than any window has
 
 
@@ -85,8 +86,9 @@ def fit(given: FreePlant, runs: Sequence[Recording], horizon: float | None = Non
             *residual_tests(residuals, long, model.sensors, model.inputs))
     with np.errstate(all='ignore'):
         next_error = np.sqrt(np.nanmean(residuals[1:]**2, axis=(0, 2)))
+    of_readings = replace(noise, sensors=noise.sensors / averaging(runs, model, long))
     return Fit(model, windows.horizon, len(windows.run), len(moved), theta, spreads, certain,
-               noise, next_error, held, tuple(offsets), found.costs, said)
+               of_readings, next_error, held, tuple(offsets), found.costs, said)
 
 
 def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: float,
@@ -106,7 +108,7 @@ def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: 
     guess = _guess(found)
     theta, noise = found_noise(
         model, long, found.start.theta, states, guess,
-        EVERYTHING if model.unknown else lead_of(long), _resolution(model, runs), _told(model),
+        EVERYTHING if model.unknown else lead_of(long), resolution(model, runs), model.told(),
         bounds_of(model) if model.unknown else None)
     return theta, noise, long, states
 
@@ -131,25 +133,19 @@ def _guess(found: Found) -> Noise:
     share = np.where(drifting, 0.01, np.where(unknown, 0.1, 0.01))
     period = windows.step if model.period else 1.0
     driven = share * np.maximum(known, 1e-9) / np.sqrt(windows.horizon / period)
-    told = _told(model)
+    told = model.told()
     given = np.zeros(model.size)
     given[:len(model.given.states)] = model.given.plant.process_noise[:len(model.given.states)]
     return Noise(np.where(told, given, np.maximum(driven, 1e-12)),
                  sensors, known)
 
 
-def _told(model: Model) -> np.ndarray:
-    """Tell of which offsets (N,) the file says how they drift: windows are too short for that."""
-    noise = model.given.plant.process_noise[:len(model.given.states)]
-    return model.offsets() & np.concatenate([noise > 0.0, np.zeros(len(model.unknown), bool)])
-
-
-def _resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
+def resolution(model: Model, runs: Sequence[Recording]) -> np.ndarray:
     """Return the noise of rounding (l,): the smallest step of what sensors said, over root 12."""
     found = []
     for name in model.sensors:
         steps = np.concatenate([np.abs(np.diff(run.tracks[name].values)) for run in runs
                                 if name in run.tracks])
-        steps = steps[steps > 0.0]
+        steps = steps[steps > EQUAL * np.nanmax(steps, initial=0.0)]
         found.append(max(float(np.nanmin(steps)) if len(steps) else 0.0, 1e-15) / np.sqrt(12.0))
     return np.array(found)

@@ -74,7 +74,7 @@ def _with(content: dict[str, Any], places: dict[str, tuple[str, float, float]],
         old = set(names(parse(entry['value'])))
         entry['value'] = written
         used = set(names(parse(written)))
-        for name in used - set(parameters) - {speed}:
+        for name in sorted(used - set(parameters) - {speed}):
             kind = name.removeprefix(f'{place}_')
             low, high = {'viscous': (0.0, most / fast), 'coulomb': (0.0, most),
                          'static': (0.0, most), 'drop': (0.0, most), 'bias': (-most, most),

@@ -69,6 +69,21 @@ class Model:
                  for state, node in zip(given.states, given.dynamics)]
         return np.array([*alone, *[False] * len(self.unknown)])
 
+    def told(self) -> np.ndarray:
+        """
+        Tell of which states (N,) the file's process noise stays, where it has any.
+
+        Windows are too short to tell how an offset drifts. And what only adds up another state, as
+        a position does with a speed, is not driven by noise: what is off there is the sensor's.
+        """
+        given = self.given
+        noise = given.plant.process_noise[:len(given.states)]
+        sums = [self.period is None and isinstance(node, Name) and node.id in given.states
+                and node.id != state for state, node in zip(given.states, given.dynamics)]
+        unknown = [False] * len(self.unknown)
+        given_one = np.array([*(noise > 0.0), *unknown])
+        return (self.offsets() | np.array([*sums, *unknown])) & given_one
+
     # parameters are given as (P,), or (P, W) where windows have their own
 
     def outputs(self, x: Moved, u: np.ndarray, theta: np.ndarray) -> Moved:

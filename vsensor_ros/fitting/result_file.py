@@ -34,10 +34,10 @@ def fitted_text(result: Fit, plant: str | Path, comment: Sequence[str],
         put(content, 'parameters', parameter.name, numbers, 'value')
     for name, noise in zip(result.model.sensors, result.noise.sensors):
         put(content, 'sensors', name, {'noise': rounded(noise, 3)}, 'measures')
-    drifting = result.model.offsets()
-    for name, noise, offset in zip(result.model.given.states, result.noise.driven, drifting):
-        if offset and 'process_noise' in (content['states'].get(name) or {}):
-            continue  # recordings in short windows do not tell how an offset drifts
+    for name, noise, told in zip(result.model.given.states, result.noise.driven,
+                                 result.model.told()):
+        if told:
+            continue
         noise *= result.model.given.seconds**0.5
         put(content, 'states', name, {'process_noise': rounded(noise, 3)})
     text = written(content)

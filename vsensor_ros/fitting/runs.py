@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.recordings import Dataset, load_dataset, Recording, Track
+from vsensor_ros.recordings import Dataset, load_dataset, read_dataset, Recording, Track
 
 DATASET = ('.yaml', '.yml')
 
@@ -24,6 +24,12 @@ def read_runs(paths: Sequence[Path], first: float = 0.0, last: float = float('in
         runs.extend(load_dataset(path) if path.suffix in DATASET
                     else Dataset((path.absolute(),)).load())
     return tuple(part(run, first, last) for run in runs)
+
+
+def also_judged(paths: Sequence[Path], first: float, last: float) -> list[str]:
+    """Return the dataset files whose windows lie in what is fitted to. Raises BadInput."""
+    found = [(path.name, read_dataset(path).windows) for path in paths if path.suffix in DATASET]
+    return [name for name, w in found if w is not None and w.start < last and w.end > first]
 
 
 def part(run: Recording, first: float, last: float) -> Recording:

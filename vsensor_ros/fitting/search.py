@@ -98,7 +98,7 @@ def refined(found: Found, most: int = 20) -> Found:
     shooting, start, shot = found.shooting, found.start, found.shot
     for _ in range(WEIGHED):
         deviations = spread_of(shot.misfits, shooting.deviations)
-        shooting = shooting.with_deviations(deviations)
+        shooting = shooting.weighed(deviations, noise_in(shot.misfits, deviations))
         start, shot = shooting.solve(start, bounds_of(shooting.model), most)
     return Found(shooting, start, shot, found.costs)
 
@@ -109,6 +109,12 @@ def spread_of(misfits: np.ndarray, before: np.ndarray) -> np.ndarray:
         sizes = 1.4826 * np.array([np.median(np.abs(m[np.isfinite(m)])) if np.isfinite(m).any()
                                    else np.nan for m in np.moveaxis(misfits, 1, 0)])
     return np.where(np.isfinite(sizes), np.clip(sizes, 1e-6 * before, 1e6 * before), before)
+
+
+def noise_in(misfits: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """Return the noise of sensors (l,): by what misfits differ from one reading to the next."""
+    noise = spread_of(np.diff(misfits, axis=0), deviations) / np.sqrt(2.0)
+    return np.minimum(noise, deviations)
 
 
 def without(found: Found, out: np.ndarray, most: int = 8) -> Found:

@@ -51,13 +51,22 @@ class Shooting:
     The problem: windows of a model, deviations (l,) by which misfits are weighed.
 
     spreads (N,): of offsets about what the plant file has for them, one standard deviation; inf
-    where that is not known.
+    where that is not known. noise (l,): the deviations at the starts, where no error of the model
+    has grown yet; without it starts bend to what the model gets wrong later.
     """
 
     model: Model
     windows: Windows
     deviations: np.ndarray
     spreads: np.ndarray
+    noise: np.ndarray | None = None
+
+    def sizes(self) -> np.ndarray:
+        """Return by what each misfit is weighed (J, l)."""
+        found: np.ndarray = np.tile(self.deviations, (len(self.windows.readings), 1))
+        if self.noise is not None:
+            found[0] = np.minimum(self.noise, found[0])
+        return found
 
     def shoot(self, start: Start) -> Shot:
         """Simulate all windows."""
@@ -75,15 +84,14 @@ class Shooting:
                 if k < len(windows.inputs):
                     x = model.step(x, u, start.theta, windows.step)
                     last = u
-            found = np.array(misfits)
+            found, sizes = np.array(misfits), self.sizes()[:, :, None]
             missing = np.isnan(windows.readings)
             bounded = np.where(missing, np.nan, np.clip(np.nan_to_num(
-                found, nan=HUGE, posinf=HUGE, neginf=-HUGE),
-                -HUGE * self.deviations[:, None], HUGE * self.deviations[:, None]))
+                found, nan=HUGE, posinf=HUGE, neginf=-HUGE), -HUGE * sizes, HUGE * sizes))
             every: np.ndarray = np.stack(slopes, axis=1).reshape(
                 len(windows.run), -1, model.size + len(start.theta))
             every = np.clip(np.nan_to_num(every, nan=0.0, posinf=1e12, neginf=-1e12), -1e12, 1e12)
-        z = np.nan_to_num(bounded / self.deviations[:, None]) / SOFT
+        z = np.nan_to_num(bounded / sizes) / SOFT
         cost = SOFT**2 * float(np.sum(np.sqrt(1.0 + z * z) - 1.0))
         offset = self.offset(start)
         return Shot(bounded, every, cost + 0.5 * float(np.sum(offset**2)))
@@ -106,14 +114,14 @@ class Shooting:
         G: the parameters, then the offsets of each run.
         """
         n, wide = self.model.size, len(self.windows.run)
+        sizes = self.sizes()
         misfit: np.ndarray = np.moveaxis(
-            shot.misfits / self.deviations[:, None], 2, 0).reshape(wide, -1)
+            shot.misfits / sizes[:, :, None], 2, 0).reshape(wide, -1)
         there = np.isfinite(misfit)
         misfit = np.where(there, misfit, 0.0)
         # with this the gradient is that of the robust cost, and Gauss and Newton's step stays one
         weight = np.where(there, (1.0 + (misfit / SOFT)**2)**-0.25, 0.0)
-        count = shot.misfits.shape[0]
-        scale = weight / np.tile(self.deviations, count)
+        scale = weight / sizes.ravel()
         slopes = shot.slopes * scale[:, :, None]
         drifting, first = self._shared()
         own = np.setdiff1d(np.arange(n), drifting)
@@ -189,9 +197,9 @@ class Shooting:
             states[np.ix_(drifting, np.flatnonzero(self.windows.run == run))] += move[:, None]
         return Start(theta, states)
 
-    def with_deviations(self, deviations: np.ndarray) -> Shooting:
+    def weighed(self, deviations: np.ndarray, noise: np.ndarray) -> Shooting:
         """Return the problem with misfits weighed by others."""
-        return replace(self, deviations=deviations)
+        return replace(self, deviations=deviations, noise=noise)
 
 
 def _projector(own: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:

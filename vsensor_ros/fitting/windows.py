@@ -134,6 +134,29 @@ def cut(runs: Sequence[Recording], model: Model, horizon: float, stride: float |
                    np.moveaxis(np.array(readings), 0, 2), np.array(owner), np.array(starts))
 
 
+def averaging(runs: Sequence[Recording], model: Model, windows: Windows) -> np.ndarray:
+    """
+    Return by how much the noise of a reading counts on the grid (l,), between 0.7 and 1.
+
+    A time of comparison between two stamps has a part of both readings, whose noise is averaged.
+    """
+    found = np.ones(len(model.sensors))
+    for i, (name, delay) in enumerate(zip(model.sensors, model.given.late)):
+        parts = []
+        for w, run in enumerate(windows.run):
+            if name not in runs[run].tracks:
+                continue
+            track = runs[run].tracks[name]
+            times = track.times[np.isfinite(track.values)]
+            at = windows.starts[w] + windows.times + delay
+            after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+            part = np.clip((at - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
+            parts.append(part**2 + (1.0 - part)**2)
+        if parts:
+            found[i] = np.sqrt(np.mean(parts))
+    return found
+
+
 def _ends(track: Track) -> tuple[float, float]:
     return float(track.times[0]), float(track.times[-1])
 

@@ -39,6 +39,8 @@ class Contents:
     curves: Mapping[str, Curve] = field(default_factory=dict)
     # [s] by command: when it acts after it was given; by sensor: what it says is so old
     delays: Mapping[str, float] = field(default_factory=dict)
+    # standard deviation of one reading, by sensor of which it is known, in its unit
+    noise: Mapping[str, float] = field(default_factory=dict)
     isolability: Isolability | None = None  # None: it was not asked for
     fault_sizes: FaultSizes | None = None  # likewise
 

@@ -88,6 +88,7 @@ def _to_record(design: Contents) -> dict[str, Any]:
             **({'curves': {name: _curve_record(curve) for name, curve in design.curves.items()}}
                if design.curves else {}),
             **({'delays': dict(design.delays)} if design.delays else {}),
+            **({'noise': dict(design.noise)} if design.noise else {}),
         },
         'wanted': list(design.wanted),
         'entries': [entry_record(entry) for entry in design.each_once()],
@@ -118,7 +119,7 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     top.only(('format', 'version', 'plant', 'wanted', 'entries', 'isolability', 'fault_sizes'))
     plant = top.object('plant')
     plant.only(('name', 'hash', 'sample_time', 'states', 'inputs', 'sensors', 'units', 'Cu',
-                'tolerances', 'ranges', 'wrap', 'curves', 'delays'))
+                'tolerances', 'ranges', 'wrap', 'curves', 'delays', 'noise'))
     states, inputs, sensors = (plant.names(key) for key in ('states', 'inputs', 'sensors'))
     sample_time = None
     if plant.record.get('sample_time', 0) is not None:
@@ -130,10 +131,12 @@ def _from_record(record: Any, path: str | Path) -> Contents:
     Cu = plant.array('Cu', len(sensors), len(inputs)) if 'Cu' in plant.record else None
     entries: dict[Key, Entry | Refusal] = {}
     design = Contents(plant.text('name'), plant.text('hash'), states, inputs, sensors, units,
-                      sample_time, entries, wanted, Cu, _read_tolerances(plant, sensors),
+                      sample_time, entries, wanted, Cu,
+                      _read_positive(plant, 'tolerances', sensors),
                       _read_ranges(plant, sensors), _read_wrap(plant, sensors),
                       _read_curves(plant, sensors, inputs),
-                      _read_delays(plant, (*sensors, *inputs)))
+                      _read_positive(plant, 'delays', (*sensors, *inputs)),
+                      _read_positive(plant, 'noise', sensors))
     for reader in top.objects('entries'):
         entry = read_entry(reader, design, version)
         for output in (entry.channel,) if isinstance(entry, Refusal) else entry.outputs:
@@ -163,8 +166,8 @@ def _read_wanted(top: CheckedObject, known: tuple[str, ...],
     return found
 
 
-def _read_tolerances(plant: CheckedObject, sensors: tuple[str, ...]) -> dict[str, float]:
-    reader = _by_name(plant, 'tolerances', sensors)
+def _read_positive(plant: CheckedObject, key: str, names: tuple[str, ...]) -> dict[str, float]:
+    reader = _by_name(plant, key, names)
     return {name: reader.positive(name) for name in reader.record}
 
 
@@ -217,11 +220,6 @@ def _read_curves(plant: CheckedObject, sensors: tuple[str, ...],
                              reader.number('high'), {u: beside.number(u) for u in beside.record})
         curves[name].check(plant.path, f'{every.place}{name}')
     return curves
-
-
-def _read_delays(plant: CheckedObject, names: tuple[str, ...]) -> dict[str, float]:
-    reader = _by_name(plant, 'delays', names)
-    return {name: reader.positive(name) for name in reader.record}
 
 
 def _by_name(plant: CheckedObject, key: str, names: tuple[str, ...]) -> CheckedObject:

@@ -345,6 +345,10 @@ class Plant:
         every = zip((*self.inputs, *self.sensors), (*self.input_delay, *self.sensor_delay))
         return {name: float(delay) for name, delay in every if delay}
 
+    def noises(self) -> dict[str, float]:
+        """Return the standard deviation of one reading, by name, of sensors where it is known."""
+        return {name: float(noise) for name, noise in zip(self.sensors, self.noise) if noise > 0.0}
+
     def hash(self) -> str:
         """Return the SHA-256 of what a design depends on: names, arrays, terms, noise, start."""
         digest = hashlib.sha256()

@@ -113,4 +113,15 @@ def _definitions(connections: Iterable[Any]) -> dict[str, Any]:
 
 def _broken(path: Path, where: str, error: Exception) -> BadInput:
     said = ' '.join(str(error).split()) or type(error).__name__
-    return BadInput(path, where, f'cannot be read ({said[:160]})', MEND)
+    return BadInput(path, where, f'cannot be read ({said[:160]})', _mend(path, said))
+
+
+def _mend(path: Path, said: str) -> str:
+    """Return what helps: recorders that were killed leave bags that are not whole."""
+    if 'magic' in said:
+        return 'it was not closed: mcap recover FILE.mcap -o WHOLE.mcap, and name that'
+    if 'malformed' in said:
+        return 'it is cut off: sqlite3 FILE.db3 .recover | sqlite3 WHOLE.db3, and name that'
+    if 'metadata' in said and path.is_dir() and any(f.suffix in SUFFIXES for f in path.iterdir()):
+        return 'write it anew: ros2 bag reindex FOLDER; or name the file in it'
+    return MEND

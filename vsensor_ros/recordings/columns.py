@@ -7,7 +7,7 @@ A column is named as its file does: a CSV's `T1 [degC]` also as `T1`, the first 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass, field
 from io import StringIO
@@ -145,10 +145,11 @@ def _csv(path: Path, clock: Clock) -> Table:
                        'give a CSV file') from None
     whole = peeked if len(peeked) < PEEKED else peeked[:peeked.rfind(b'\n') + 1]
     try:
-        lines = whole.decode('utf-8-sig').splitlines()
+        every = whole.decode('utf-8-sig').splitlines()
     except UnicodeDecodeError:
         raise BadInput(path, 'recording', 'is not UTF-8 text',
                        'give a CSV file in UTF-8') from None
+    head, lines = _without_comments(every)
     if len(lines) < 2:
         raise BadInput(path, 'recording', 'has no row, or a line that is too long',
                        'begin with a line of names, then a row of numbers for each time')
@@ -157,7 +158,7 @@ def _csv(path: Path, clock: Clock) -> Table:
     names = [name.strip() for name in header]
     names[0] = names[0].lstrip('#').strip()
     if len(set(names)) != len(names) or all(_is_number(n, '.') for n in names):
-        raise BadInput(path, 'line 1', 'is no line of names, each once',
+        raise BadInput(path, f'line {head + 1}', 'is no line of names, each once',
                        'begin with time and the name of each column')
     point = ',' if delimiter == ';' and any(re.fullmatch(r'[-+]?\d+,\d+', cell)
                                             for row in rows for cell in row) else '.'
@@ -181,8 +182,11 @@ def _csv(path: Path, clock: Clock) -> Table:
     def pieces(columns: Collection[str]) -> Iterator[dict[str, Any]]:
         try:
             with arrow_csv.open_csv(
-                    path, read_options=arrow_csv.ReadOptions(skip_rows=1, column_names=names),
-                    parse_options=arrow_csv.ParseOptions(delimiter=delimiter),
+                    path, read_options=arrow_csv.ReadOptions(skip_rows=head + 1,
+                                                             column_names=names),
+                    parse_options=arrow_csv.ParseOptions(
+                        delimiter=delimiter, invalid_row_handler=lambda row:
+                        'skip' if (row.text or '').lstrip().startswith('#') else 'error'),
                     convert_options=arrow_csv.ConvertOptions(
                         column_types=types, include_columns=list(columns), decimal_point=point,
                         strings_can_be_null=True)) as reader:
@@ -195,6 +199,25 @@ def _csv(path: Path, clock: Clock) -> Table:
     return Table(path, 'CSV', tuple(n for n in numbers if n != time), time, pieces, clock,
                  units={n: u for n, u in units.items() if u},
                  left=tuple(n for n in names if n not in numbers and n != time))
+
+
+def _without_comments(lines: Sequence[str]) -> tuple[int, list[str]]:
+    """
+    Return which line has the names, and all lines from there on without comments (# ..).
+
+    The names may stand in a comment themselves: the last one before the numbers, if it has as many
+    cells as these.
+    """
+    spoken = [i for i, line in enumerate(lines) if line.strip() and line.lstrip()[0] != '#']
+    if not spoken:
+        return 0, []
+    head = spoken[0]
+    first = lines[head]
+    delimiter = max(',;\t', key=first.count)
+    if head and lines[head - 1].count(delimiter) == first.count(delimiter) and all(
+            _is_number(cell.strip(), '.') for cell in first.split(delimiter) if cell.strip()):
+        return head - 1, [lines[head - 1], *(lines[i] for i in spoken)]
+    return head, [lines[i] for i in spoken]
 
 
 def _split_unit(name: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ Recordings that were wired once, as a file that the commands take: paths, wiring
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 import math
 import os
@@ -50,15 +50,17 @@ class Windows:
 
     @classmethod
     def of(cls, text: str) -> Windows:
-        """Return those of a command line, ``60,10``; raises BadInput."""
+        """Return those of a command line, ``60,10`` or ``60,10,300``; raises BadInput."""
         try:
-            every, length = map(float, text.split(','))
+            every, length, *start = map(float, text.split(','))
         except ValueError:
-            every = length = 0.0
-        if not (0.0 < every < math.inf and 0.0 < length < math.inf):
-            raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds',
-                           'write --windows 60,10')
-        return cls.after_health(every, length)
+            every, length, start = 0.0, 0.0, []
+        if not (0.0 < every < math.inf and 0.0 < length < math.inf) or len(start) > 1 or not all(
+                0.0 <= first < math.inf for first in start):
+            raise BadInput('--windows', '', f'{shown(text)} are no two numbers of seconds, or '
+                           'three', 'write --windows 60,10, or with a start 60,10,300')
+        made = cls.after_health(every, length)
+        return cls(every, length, *start) if start else made
 
     def starts(self, seconds: float) -> np.ndarray:
         """Return where windows begin that lie in a recording of so many seconds, (N,)."""
@@ -126,7 +128,8 @@ def write_dataset(path: Path, dataset: Dataset) -> None:
         'columns': dict(dataset.columns), 'time': clock.column, 'time_unit': clock.unit,
         'period': clock.period,
         'windows': None if windows is None else {
-            key: value for key in WINDOW_KEYS if math.isfinite(value := getattr(windows, key))},
+            key: float(f'{value:.9g}') for key in WINDOW_KEYS
+            if math.isfinite(value := getattr(windows, key))},
         'delays': dict(dataset.delays)}
     try:
         write_whole(path, yaml.safe_dump({key: value for key, value in said.items() if value},
@@ -161,15 +164,20 @@ def _read(path: Path, dataset: Dataset, progress: Progress | None) -> Recording:
     silent = [name for name, (stamps, _) in raw.items() if not len(stamps)]
     if silent or not raw:
         raise BadInput(path, ', '.join(silent), 'says nothing', 'wire it to what is recorded')
-    for name in dataset.delays:
-        if name not in raw:
-            raise BadInput(path, f'delays.{name}', 'is no channel',
-                           f'its channels are {", ".join(raw)}')
+    check_delays(path, dataset, raw)
     first = min(int(stamps.min()) for stamps, _ in raw.values())
     shift = max(0, BEGIN - first)  # a clock at 0 has not begun
     return Recording({name: Track.in_order(
         stamps + shift - round(dataset.delays.get(name, 0.0) * 1e9), values, first + shift)
         for name, (stamps, values) in raw.items()}, path.name, units)
+
+
+def check_delays(path: Path, dataset: Dataset, channels: Collection[str]) -> None:
+    """Raise BadInput where a delay is of no channel of a recording."""
+    for name in dataset.delays:
+        if name not in channels:
+            raise BadInput(path, f'delays.{name}', 'is no channel',
+                           f'its channels are {", ".join(channels)}')
 
 
 def _from_bag(path: Path, wiring: Path | None, progress: Progress | None,

@@ -58,7 +58,8 @@ class Judgement:
     arx: float  # rmse of an ARX model
     arx_order: int
     deviation: float  # rms of what was stated
-    coverage1: float  # share of what went out within one deviation
+    noise: float  # of a reading, known of the sensor; 0: it is not known
+    coverage1: float  # share of errors within one deviation: stated, and the reading's noise
     coverage: float  # within two
     coverage3: float  # within three
     step: float  # median size of the first value that went out less the last reading before
@@ -78,9 +79,9 @@ class Judgement:
 
     @property
     def beaten(self) -> bool:
-        """Whether a peer is better, or nothing went out."""
+        """Whether something went out, and a peer is better."""
         best = self.best_peer
-        return bool(best) and not self.rmse <= getattr(self, best)
+        return bool(best) and self.rmse > getattr(self, best)
 
 
 def judge_trials(setup: Setup, trials: Trials) -> list[Judgement]:
@@ -105,6 +106,7 @@ def _judge(setup: Setup, trials: Trials, case: Case, channel: str) -> Judgement:
     spoken = [s[channel] for _, _, s in said]
     error = _all([_error(w.values, w.truth, turn) for w in windows])
     stated = _all([w.deviations for w in windows])
+    noise = design.noise.get(channel, 0.0)
     out = np.isfinite(error)
     counted = out if out.any() else np.ones(len(error), bool)
 
@@ -115,7 +117,7 @@ def _judge(setup: Setup, trials: Trials, case: Case, channel: str) -> Judgement:
         return _rms(missed)
 
     def covered(deviations: float) -> float:
-        return _mean(np.abs(error[out]) <= deviations * stated[out])
+        return _mean(np.abs(error[out]) <= deviations * np.hypot(stated[out], noise))
 
     ends = [float(e[np.isfinite(e)][-1]) for w in windows
             if np.isfinite(e := np.abs(_error(w.values, w.truth, turn))).any()]
@@ -132,7 +134,7 @@ def _judge(setup: Setup, trials: Trials, case: Case, channel: str) -> Judgement:
         served=_mean(out), rmse=_rms(error[out]), median=_percentile(ends, 50),
         p90=_percentile(ends, 90), p99=_percentile(ends, 99), hold=simple('hold'),
         regression=simple('regression'), arx=simple('arx'), arx_order=beside.order,
-        deviation=_rms(stated[out]), coverage1=covered(1.0), coverage=covered(2.0),
+        deviation=_rms(stated[out]), noise=noise, coverage1=covered(1.0), coverage=covered(2.0),
         coverage3=covered(3.0), step=_percentile(steps, 50),
         until=float(np.median(last)) if last else math.inf,
         found=len(found) / len(spoken) if alone else math.nan, delay=_percentile(found, 50),

@@ -39,7 +39,8 @@ what lies between them. Errors are in the unit of the channel.</p>
 {% endfor %}</pre>{% endif %}
 <table><tr><th>channel, what was lost</th><th>served</th><th>rmse</th><th>90 % at the end</th>
 <th>within 2 deviations</th><th>hold</th><th>regression</th><th>ARX</th></tr>
-{% for j in judgements %}<tr{% if j.judgement.beaten %} class="beaten"{% endif %}>
+{% for j in judgements %}
+<tr{% if j.judgement.beaten or not j.judgement.served %} class="beaten"{% endif %}>
 <td><a href="#v{{ loop.index }}">{{ j.title }}</a></td>
 {% for cell in j.cells %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table>

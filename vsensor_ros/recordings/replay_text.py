@@ -29,18 +29,22 @@ def lines_of(j: Judgement) -> list[str]:
         said += [
             f'error         rmse {j.rmse:.3g}; at the end median {j.median:.3g}, '
             f'90 % {j.p90:.3g}, 99 % {j.p99:.3g}',
-            f'stated        {j.deviation:.3g}; within 1, 2, 3 deviations {_share(j.coverage1)}, '
-            f'{_share(j.coverage)}, {_share(j.coverage3)}',
+            f'stated        {j.deviation:.3g}{_reading(j)}; within 1, 2, 3 deviations '
+            f'{_share(j.coverage1)}, {_share(j.coverage)}, {_share(j.coverage3)}',
             f'step          {_number(j.step)} at the switch']
     if math.isfinite(j.until):
         said.append(f'until         {j.until:.3g} s after the loss, where it ends in the window')
-    said.append('simple peers  ' + ', '.join(
-        f'{name} {getattr(j, name):.3g}' for name in PEERS if not math.isnan(getattr(j, name))))
+    if j.best_peer:
+        said.append('simple peers  ' + ', '.join(
+            f'{name} {value:.3g}' for name in PEERS if not math.isnan(value := getattr(j, name))))
     if j.beaten:
         best = float(getattr(j, j.best_peer))
         digits = 3 if f'{best:.3g}' != f'{j.rmse:.3g}' else 6  # it is to be seen which is less
-        said.append(f'A SIMPLE PEER WINS: {NAMES[j.best_peer]}, {best:.{digits}g}'
-                    + ('' if math.isnan(j.rmse) else f' against {j.rmse:.{digits}g}'))
+        better = sorted((value, NAMES[name]) for name in PEERS
+                        if (value := float(getattr(j, name))) < j.rmse)
+        said.append('A SIMPLE PEER WINS: ' + ', '.join(
+            f'{name} {value:.{digits}g}' for value, name in better)
+            + f' against {j.rmse:.{digits}g}')
     if not math.isnan(j.found):
         said.append(f'isolator      found in {_share(j.found)} of the windows, after '
                     f'{_number(j.delay)} s; others blamed in {_share(j.blamed)}; '
@@ -87,6 +91,12 @@ def replay_json(judgements: Sequence[Judgement], outcomes: Sequence[Outcome],
         'requirements': [{'requirement': str(o.requirement), 'fault_set': o.judgement.fault_set,
                           'kind': o.judgement.kind, 'passed': o.passed} for o in outcomes],
         'passed': all(o.passed for o in outcomes)}, indent=1, allow_nan=False)
+
+
+def _reading(j: Judgement) -> str:
+    """Say what the noise of a reading, by which an error is judged, adds to what is stated."""
+    both = f'{math.hypot(j.deviation, j.noise):.3g}'
+    return '' if both == f'{j.deviation:.3g}' else f', with the noise of a reading {both}'
 
 
 def _plain(value: Any) -> Any:

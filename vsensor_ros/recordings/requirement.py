@@ -16,8 +16,8 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.recordings.judgement import Judgement
 
 MEASURED = ('rmse', 'median', 'p90', 'p99', 'served', 'windows_served', 'coverage1', 'coverage',
-            'coverage3', 'deviation', 'step', 'until', 'found', 'delay', 'blamed', 'alarms',
-            'hold', 'regression', 'arx')
+            'coverage3', 'deviation', 'noise', 'step', 'until', 'found', 'delay', 'blamed',
+            'alarms', 'hold', 'regression', 'arx')
 SIGNS: dict[str, Callable[[float, float], bool]] = {
     '<': operator.lt, '<=': operator.le, '>': operator.gt, '>=': operator.ge}
 

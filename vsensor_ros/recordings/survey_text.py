@@ -15,7 +15,7 @@ EPOCH = 10**17  # ns; a stamp beyond is of today, one before of some clock
 
 def survey_text(found: Survey) -> str:
     """Return a table with a row for each channel, and below it what is suspicious."""
-    lines = [f'{found.name}: {found.form}, {len(found.channels)} channels, '
+    lines = [f'{found.name}: {found.form}, {_count(len(found.channels))}, '
              f'{found.seconds:.6g} s{_begun(found.begin)}']
     lines += _table([TITLES, *(_row(c) for c in found.channels)])
     suspicious: dict[str, list[str]] = {}
@@ -30,6 +30,10 @@ def survey_text(found: Survey) -> str:
 def _listed(names: Sequence[str]) -> str:
     more = f' and {len(names) - LISTED} more' if len(names) > LISTED else ''
     return ', '.join(names[:LISTED]) + more
+
+
+def _count(channels: int) -> str:
+    return f'{channels} channel' + 's' * (channels != 1)
 
 
 def _begun(stamp: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.recordings.bag import Bag, is_bag, open_bag, Progress
 from vsensor_ros.recordings.columns import open_table
-from vsensor_ros.recordings.dataset import Dataset, wanted_columns
+from vsensor_ros.recordings.dataset import check_delays, Dataset, wanted_columns
 from vsensor_ros.recordings.survey import (
     Channel,
     ClockTally,
@@ -62,9 +62,10 @@ class _Group:
 def survey(path: Path, dataset: Dataset, progress: Progress | None = None) -> Survey:
     """Return what is in one recording, wired as a dataset says. Raises BadInput."""
     if is_bag(path):
-        return _survey_bag(path, dataset.wiring, progress)
+        return _survey_bag(path, dataset, progress)
     table = open_table(path, dataset.clock)
     columns = wanted_columns(table, dataset.columns)
+    check_delays(path, dataset, columns)
     clock, tallies, rows = ClockTally(), {name: ValueTally() for name in columns}, 0
     for stamps, values in table.chunks(list(dict.fromkeys(columns.values()))):
         rows += len(stamps)
@@ -84,15 +85,16 @@ def survey(path: Path, dataset: Dataset, progress: Progress | None = None) -> Su
                   with_copies(channels), tuple(notes))
 
 
-def _survey_bag(path: Path, wiring: Path | None, progress: Progress | None) -> Survey:
+def _survey_bag(path: Path, dataset: Dataset, progress: Progress | None) -> Survey:
     from vsensor_ros.recordings.bag_wiring import heard_in, units, wires_of
 
     groups: dict[tuple[str, ...], _Group] = {}
     known: dict[str, str] = {}
     left: dict[str, str] = {}
     with open_bag(path) as bag:
-        if wiring is not None:
-            wires = wires_of(bag, wiring)
+        if dataset.wiring is not None:
+            wires = wires_of(bag, dataset.wiring)
+            check_delays(path, dataset, [wire.name for wire in wires])
             known.update(units(wires))
             said: Iterator[Said] = heard_in(bag, wires, progress)
             asked = [wire.name for wire in wires]

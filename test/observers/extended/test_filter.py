@@ -168,3 +168,16 @@ def test_a_variance_that_rounding_has_taken():
     z[0, 2:6] = -filter_.variances(z[:, 2:6].reshape(1, 2, 2))[0, 0] * np.eye(2).ravel()
     with np.errstate(all='raise'):
         assert np.isfinite(filter_.step(z, told(1.0, 0.0), np.zeros((3, 1)))).all()
+
+
+def test_sensors_that_fall_silent_by_turns_leave_no_chain_of_filters():
+    """A copy of an engine follows what filters hold on to: it must not grow with time."""
+    filter_ = one((True, True), lasts=np.full(2, H))
+    z = filter_.start(told(0.0, 0.0))
+    for k in range(300):
+        ages = np.array([k % 2, 1.0 - k % 2])
+        z = filter_.step(z, told(0.0, 0.0)._replace(ages=ages), np.zeros((3, 1)))
+    depth, at = 0, filter_
+    while at._fresh[1] is not at:
+        depth, at = depth + 1, at._fresh[1]
+    assert depth == 1

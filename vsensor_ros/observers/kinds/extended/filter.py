@@ -99,6 +99,7 @@ class Filter:
             fresh = ~stale[self._own]
             found._reads, found._healthy = self._reads & fresh, self._healthy & fresh
             found._compress()
+            found._fresh = b'', found  # what it was made from would keep all that were before
             self._fresh = which, found
         return self._fresh[1]
 
