@@ -220,13 +220,11 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
     J, W = (found[0] for found in motion.linear(x[None], v))
     E, driven = (J, W) if plant.sample_time is not None else (expm(J * period), period * W)
     y, u = np.split(v, [len(plant.sensors)])
-    k = entry.order
 
     def after(P: np.ndarray, tracked: bool) -> tuple[np.ndarray, float]:
-        z = np.concatenate([x, (E @ P @ E.T + driven).ravel(), np.zeros(2)])[None]
-        z = motion.corrected(z, y, u, tracked)
-        P = z[0, k:k + k * k].reshape(k, k)
-        z[0, :k] = x
+        z = motion.corrected(motion.state(x, E @ P @ E.T + driven)[None], y, u, tracked)
+        P = motion.covariance(z)[0]
+        z[0, :len(x)] = x
         return P, motion.deviation(z, y, u)
     P, said = entry.start, []
     if entry.tracks:
@@ -236,8 +234,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             if len(said) > 20 and said[-20] - deviation < 1e-4 * deviation:
                 break
     followed = period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1]))) if said else 0.0
-    ages, drift = [0.0], [said[-1] if said else motion.deviation(np.concatenate(
-        [x, P.ravel(), np.zeros(2)])[None], y, u)]
+    ages, drift = [0.0], [said[-1] if said else motion.deviation(motion.state(x, P)[None], y, u)]
     step = 1
     while ages[-1] < LONGEST * period:
         for _ in range(step):
@@ -253,7 +250,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             drift.append(deviation)
     known = np.isfinite(drift)
     ages, drift = list(np.array(ages)[known]), list(np.array(drift)[known])
-    first = motion.deviation(np.concatenate([x, entry.start.ravel(), np.zeros(2)])[None], y, u)
+    first = motion.deviation(motion.state(x, entry.start)[None], y, u)
     return replace(
         entry, ages=np.array(ages), drift=np.array(drift),
         warm_up=0.0 if not entry.decay else

@@ -68,9 +68,10 @@ class NonlinearBatch(Batch):
         first, last, mean = commands
         y0, y1 = before.y - self.Cu @ first, after.y - self.Cu @ last
         y, u = after.y - self.Cu @ after.held, after.held
+        ages = np.stack([before.ages, after.ages])
         for motion, at, follows in groups:
             begin = np.concatenate([y0, first if motion.continuous else mean])
-            own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]))
+            own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]), ages)
             for tracked in (False, True):
                 some = follows == tracked
                 if some.any() and motion.fresh(after.ages, tracked):
@@ -120,7 +121,7 @@ class NonlinearBatch(Batch):
         return self._deviation(self.tracked[i].own, z)
 
     def _deviation(self, i: int, z: np.ndarray) -> float:
-        found = float(z[self.motions[i].width - 1])
+        found = float(z[self.motions[i].deviating])
         return found if math.isfinite(found) else math.inf
 
     def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
