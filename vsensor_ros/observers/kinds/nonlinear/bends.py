@@ -7,8 +7,9 @@ by more than noise does. The parabola through the reading before, too, is off by
 difference to the cubic is what the error is told by. It has a sign, so that what noise does to it
 averages out as it does in z.
 
-Of a sensor slower than the grid only straight lines are known while they are stepped along. What
-they are off is told by how fast their slopes have changed of late.
+Of a sensor slower than the grid there are readings on straight lines; they are put right by how
+fast the slopes of these have changed of late. That is late by about a reading and a half, so that
+a part of it is counted as error.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 FAST = 1.5  # steps between two readings at most of a sensor that is as fast as the grid
+LATE = 0.25  # of what slow sensors are put right by: what that may be off
 
 # takes the share of a step; returns readings and inputs there (R, L + m), and their rates
 Way = Callable[[float], tuple[np.ndarray, np.ndarray]]
@@ -54,15 +56,14 @@ class Bends:
         # squares of the distances to readings: of straight lines, not where the next has not come
         gap = (ages[:, which]**2).mean(axis=0)
         gap = np.where(gap <= self._lasts**2 / 4.0, gap, 0.0)
-        curved, left = np.zeros((len(told), len(begin))), np.zeros((len(told), self._L))
-        curved[:, which] = np.where(self._fast, now, 0.0)
-        lower = np.zeros(len(begin))
-        lower[which] = gap
-        left[:, which] = np.where(self._fast, np.where(
-            steps > 1.0, (bend - now) * (h * h / 24.0 + gap / 2.0), 0.0), -now * gap / 2.0)
+        third = np.where(steps > 1.0, bend - now, 0.0) * (h * h / 12.0 + gap)
+        left = np.zeros((len(told), self._L))
+        left[:, which] = np.where(self._fast, third, LATE * now * gap) / 2.0
+        curved, lower = np.zeros((2, len(told), len(begin)))
+        curved[:, which], lower[:, which] = np.where(self._fast, now, 0.0), now * gap
 
         def way(share: float) -> tuple[np.ndarray, np.ndarray]:
-            bent = curved / 2.0 * (h * h * share * (share - 1.0) - lower)
-            return begin + share * (end - begin) + bent, rate + curved * h * (share - 0.5)
+            off = (curved * h * h * share * (share - 1.0) - lower) / 2.0
+            return begin + share * (end - begin) + off, rate + curved * h * (share - 0.5)
         return np.concatenate([np.minimum(steps + 1.0, 2.0), np.broadcast_to(
             rate[which], now.shape), now], axis=1), way, left
