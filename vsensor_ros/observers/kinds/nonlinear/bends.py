@@ -2,10 +2,10 @@
 How readings go between the times of the grid: parabolas through three, not straight lines.
 
 A straight line is off by -h^2 y''/12 in the mean over a step. Of one reading that averages out,
-of its square it does not: a motor's current at 30 rad/s, read 100 times a second, shifts its energy
-by more than noise does. The parabola through the reading before, too, is off by h^3 y'''/24. That
-difference to the cubic is what the error is told by. It has a sign, so that what noise does to it
-averages out as it does in z.
+of its square it does not: a motor's current at 30 rad/s, read 100 times a second, shifts its
+energy by more than noise does. The parabola through the reading before, too, is off by a 24th of
+the third difference, which is how far the cubic is from it: by that the error is told. It has a
+sign, so that what noise does to it averages out as it does in z.
 
 Of a sensor slower than the grid there are readings on straight lines; they are put right by how
 fast the slopes of these have changed of late. That is late by about a reading and a half, so that

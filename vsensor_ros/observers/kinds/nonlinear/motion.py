@@ -141,7 +141,8 @@ class Motion:
 
     def linear(self, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return slopes of F by z and what noise drives it by (R, k, k), at z and readings."""
-        return self._slopes(x, v, np.zeros_like(v))[1:4:2]
+        _, J, _, W, _ = self._slopes(x, v, np.zeros_like(v))
+        return J, W
 
     def deviation(self, z: np.ndarray, y: np.ndarray, u: np.ndarray) -> float:
         """Return the standard deviation of what one state (1, width) says."""
