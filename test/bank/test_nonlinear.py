@@ -273,7 +273,7 @@ def _record(tmp_path_factory):
     ({'F': []}, r'entries\[0\].F: are not 1, one a state'),
     ({'out': 'thermometer'}, r"entries\[0\].out\[0\]: unknown name 'thermometer'"),
     ({'z': ['level']}, r'entries\[0\].z: holds level, which is a sensor or an input'),
-    ({'z': []}, r'entries\[0\].z: are 0, not 1 to 32'),
+    ({'z': []}, r'entries\[0\].phi: are not 0, one a state'),
     ({'reads': ['thermometer']}, r'entries\[0\].reads: are not healthy sensors'),
     ({'validity': [{'positive': 'level', 'word': ''}]}, r'validity\[0\].word: is not a key'),
     ({'initial': [1.0, 2.0]}, r'entries\[0\].initial: is not 1 numbers'),

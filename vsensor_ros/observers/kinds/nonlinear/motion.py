@@ -25,6 +25,8 @@ FINE = 0.1  # of the largest slope times a part of a step
 MOST_PARTS = 8  # of a step
 SMALL, TERMS = 0.2, 10  # slopes whose series of so many terms is exact but for rounding
 STALE = 1.5  # times what is between readings, or steps: then a reading is one no more
+OFF = 2.0  # standard deviations: so far off it is looked at what would be said there
+BLIND = 1e99  # the deviation where nothing is known
 FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
 _BENDING = ('/', 'sqrt', 'log', '**', 'tan', 'asin')  # what may have no finite slope
 
@@ -63,7 +65,9 @@ class Motion:
         self._stale = STALE * np.maximum(lasts, period)
         self._reads = [np.array([name in used for name in sensors], dtype=bool) for used in (
             names_in(kept), names_in((*kept, *entry.tracks)))]
-        divisors = {name for text in entry.F for name in _bent(parse(text))}
+        self._heard = [i for i, name in enumerate(sensors)
+                       if name in names_in([entry.out]) and noise[i]]
+        divisors = {name for text in entry.F for name in steep_names(parse(text))}
         self._stops = np.array([not divisors.isdisjoint(names(parse(c.positive)))
                                 for c in entry.validity], dtype=bool)
 
@@ -83,7 +87,7 @@ class Motion:
 
     def covariance(self, z: np.ndarray) -> np.ndarray:
         """Return the covariances (R, k, k) in states."""
-        return z[:, self._P].reshape(-1, self.k, self.k)
+        return z[:, self._P].reshape(len(z), self.k, self.k)
 
     def step(self, z: np.ndarray, begin: np.ndarray, end: np.ndarray,
              ages: np.ndarray) -> np.ndarray:
@@ -92,6 +96,8 @@ class Motion:
 
         ages (2, L): how far from readings they are, see `Told`.
         """
+        if not self.k:
+            return z
         z, P = z.copy(), self.covariance(z)
         x = z[:, :self.k]
         if not self.continuous:
@@ -182,17 +188,38 @@ class Motion:
 
     def said(self, z: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return states with what they say; NaN where a condition of F fails."""
-        k = self.k
-        found, slopes = self._out.slopes(self._at(z[:, :k], np.concatenate([y, u])))
-        row, by = slopes[0, :k].T, slopes[0, k:k + self._L].T
-        variance = np.einsum('rk,rkl,rl->r', row, self.covariance(z), row) + (
-            by**2 * self._variance).sum(axis=1) + (row * z[:, self._off]).sum(axis=1)**2
+        at = self._at(z[:, :self.k], np.concatenate([y, u]))
+        found, deviation = self._spoken(at, z)
         z = z.copy()
-        z[:, self.value] = self.turned(found[0], z[:, self.value])
-        z[:, self.deviating] = np.sqrt(np.maximum(variance, 0.0))
+        told = self.turned(found, z[:, self.value])
+        z[:, self.value] = np.where(np.isfinite(told), told, z[:, self.value])
+        z[:, self.deviating] = np.minimum(np.where(np.isfinite(found), deviation, BLIND), BLIND)
         failing = self.failing(z, y, u)[self._stops].any(axis=0)
         z[failing] = np.nan
         return z
+
+    def _spoken(self, at: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return what is said (R,) at points (.., R), and its standard deviation.
+
+        By slopes, and by what is said two standard deviations off to either side: near a pole or
+        the end of a root the slope tells less. Beyond that end nothing is known.
+        """
+        k, R = self.k, len(z)
+        values, vectors = np.linalg.eigh(np.where(np.isfinite(P := self.covariance(z)), P, 0.0))
+        own = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]).transpose(2, 1, 0)
+        off = np.zeros((k + 1 + len(self._heard), len(at), R))
+        off[:k, :k], off[k, :k] = own, z[:, self._off].T
+        for j, sensor in enumerate(self._heard, k + 1):
+            off[j, k + sensor] = math.sqrt(self._variance[sensor])
+        points = (at + OFF * np.concatenate([off, -off])).transpose(1, 0, 2).reshape(len(at), -1)
+        with np.errstate(all='ignore'):
+            found, slopes = self._out.slopes(at)
+            apart = self._out.values(points).reshape(2, len(off), R) - found[0]
+        if self._entry.turn:
+            apart = self.turned(apart, np.zeros(1))
+        steps = np.maximum(np.abs(apart).max(axis=0) / OFF, np.abs((slopes[0] * off).sum(axis=1)))
+        return found[0], np.sqrt((np.where(np.isfinite(steps), steps, BLIND)**2).sum(axis=0))
 
     def turned(self, value: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return values, of what goes round next to others."""
@@ -235,7 +262,7 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
-def _bent(node: Node) -> set[str]:
+def steep_names(node: Node) -> set[str]:
     """Return the names in those parts that could have no finite value or slope."""
     found: set[str] = set()
     for part in walk(node):
