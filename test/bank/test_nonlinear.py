@@ -115,10 +115,15 @@ def made(tmp_path, text, lost, observer, out):
     plant = load_plant(path)
     entry = pickle.loads(pickle.dumps(  # noqa: S301
         nonlinear_entry(plant, lost, lost[0], observer, out)))
+    return plant, made_of(plant, entry, tmp_path)
+
+
+def made_of(plant, entry, tmp_path):
+    """Return a design of one entry, which went through the file."""
     Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-           dict(plant.units), plant.sample_time, {(lost, lost[0]): entry}).save(
-               tmp_path / 'd.json')
-    return plant, Design.load(tmp_path / 'd.json')
+           dict(plant.units), plant.sample_time, {(entry.fault_set, entry.channel): entry},
+           wrap=plant.angles()).save(tmp_path / 'd.json')
+    return Design.load(tmp_path / 'd.json')
 
 
 def arriving(k, count, late):
@@ -135,8 +140,8 @@ class Played:
                  grid=None):
         t = np.arange(int(seconds * rate) + 1) / rate
         inputs = np.array([u(time) for time in t], dtype=float).reshape(len(t), -1)
-        x = simulate(plant, t, inputs, lambda time: [rho(time)], start)
-        y = readings(plant, t, x, inputs, lambda time: [rho(time)])
+        x = simulate(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
+        y = readings(plant, t, x, inputs, lambda time: np.atleast_1d(rho(time)))
         read = y + plant.noise * np.random.default_rng(1).standard_normal(y.shape)
         own = plant.sensors.index(lost[0])
         behind = next(sensor for sensor in plant.sensors if sensor not in lost)
