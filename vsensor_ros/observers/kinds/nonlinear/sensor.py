@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.observers.entry import read_only
 
 
 class Condition(NamedTuple):
@@ -63,9 +64,7 @@ class NonlinearSensor:
     why: str = ''  # it stands there and no linear one
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        read_only(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:
