@@ -8,6 +8,7 @@ import pytest
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.designer import design
+from vsensor_ros.designer.by_functions import by_functions
 from vsensor_ros.observers import Design
 from vsensor_ros.plant import load_plant
 from vsensor_ros.report.design_text import facts
@@ -24,6 +25,19 @@ disturbances: {r1: , r2: }
 dynamics: {x1: r1, x2: r2}
 sensors: {y1: {measures: x1, noise: 0.01}, y2: {measures: x1*x2, noise: 0.01},
           y3: {measures: x2, noise: 0.02}}
+"""
+
+
+PUMPED = """
+name: pumped
+time: continuous
+states:
+  V: {range: [-1, 3], initial: 1, process_noise: 1e-4}
+  T: {range: [20, 60], initial: 40, process_noise: 1e-4}
+inputs: {P: {range: [0, 10], operating: 5}}
+disturbances: {rho: }
+dynamics: {V: rho, T: -T + P/V + V**2}
+sensors: {head: {measures: V, noise: 0.001}, thermometer: {measures: T, noise: 0.1}}
 """
 
 
@@ -78,6 +92,23 @@ def test_it_follows_the_truth_and_says_nothing_where_noise_divides(made):
     assert there[divisor > 0.05].all()
     assert (np.abs(error) < 2.0 * stated)[there].mean() > 0.95
     assert 0.5 < np.std(error[divisor > 1.0]) / 0.01 < 1.5  # by closed form 0.0089 to 0.014
+
+
+def test_its_deviation_is_that_of_the_readings_from_the_first_on(made):
+    bank = Bank(made[1], RATE)
+    for k in range(2):
+        for sensor in ('y1', 'y2'):
+            bank.take(sensor, SECOND + k * SECOND // RATE, 1.0)
+        bank.advance(SECOND + k * SECOND // RATE)
+    assert bank.ready(('y3',), 'y3') and bank.estimate(('y3',), 'y3') == 1.0
+    assert bank.deviation(('y3',), 'y3') == pytest.approx(0.01 * np.sqrt(2.0), rel=0.02)
+
+
+def test_a_divisor_of_z_whose_range_holds_0_stops_it_by_the_noise_of_what_is_read(tmp_path):
+    (tmp_path / 'plant.yaml').write_text(PUMPED)
+    plant = load_plant(tmp_path / 'plant.yaml')
+    entry = by_functions(plant, ('thermometer',), 'thermometer')
+    assert [c.positive for c in entry.validity] == ['abs(head) - 0.005']
 
 
 @pytest.mark.parametrize(('change', 'said'), [
