@@ -115,10 +115,15 @@ def made(tmp_path, text, lost, observer, out):
     plant = load_plant(path)
     entry = pickle.loads(pickle.dumps(  # noqa: S301
         nonlinear_entry(plant, lost, lost[0], observer, out)))
+    return plant, made_of(plant, entry, tmp_path)
+
+
+def made_of(plant, entry, tmp_path):
+    """Return a design of one entry, which went through the file."""
     Design(plant.name, plant.hash(), plant.states, plant.inputs, plant.sensors,
-           dict(plant.units), plant.sample_time, {(lost, lost[0]): entry}).save(
-               tmp_path / 'd.json')
-    return plant, Design.load(tmp_path / 'd.json')
+           dict(plant.units), plant.sample_time, {(entry.fault_set, entry.channel): entry},
+           wrap=plant.angles()).save(tmp_path / 'd.json')
+    return Design.load(tmp_path / 'd.json')
 
 
 def arriving(k, count, late):
@@ -131,15 +136,16 @@ def arriving(k, count, late):
 class Played:
     """A run whose sensors are lost at a time [s], one other is late, and what was said since."""
 
-    def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None, late=0):
+    def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None, late=0,
+                 grid=None):
         t = np.arange(int(seconds * rate) + 1) / rate
         inputs = np.array([u(time) for time in t], dtype=float).reshape(len(t), -1)
-        x = simulate(plant, t, inputs, lambda time: [rho(time)], start)
-        y = readings(plant, t, x, inputs, lambda time: [rho(time)])
+        x = simulate(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
+        y = readings(plant, t, x, inputs, lambda time: np.atleast_1d(rho(time)))
         read = y + plant.noise * np.random.default_rng(1).standard_normal(y.shape)
         own = plant.sensors.index(lost[0])
         behind = next(sensor for sensor in plant.sensors if sensor not in lost)
-        self.bank, self.error, self.stated, self.why = Bank(made, rate), [], [], []
+        self.bank, self.error, self.stated, self.why = Bank(made, grid or rate), [], [], []
         for k, time in enumerate(t):
             now = SECOND + round(time * SECOND)
             for j, sensor in enumerate(plant.sensors):
@@ -159,6 +165,15 @@ class Played:
                 self.stated.append(self.bank.deviation(lost, lost[0]))
                 self.why.append(self.bank.why_not(lost, lost[0]))
 
+    def honest(self, skipped=0):
+        """Return the share within two deviations, and how much larger these are than errors."""
+        error, stated = (np.array(v)[skipped:] for v in (self.error, self.stated))
+        there = np.isfinite(error)
+        assert there.mean() > 0.9
+        error, stated = error[there], stated[there]
+        return np.mean(np.abs(error) < 2.0 * stated), math.sqrt(np.mean(stated**2) / np.mean(
+            error**2))
+
     def rms(self):
         """Return the root of the mean square of the error in the later half, where it spoke."""
         error = np.array(self.error)[len(self.error) // 2:]
@@ -172,20 +187,35 @@ def test_it_follows_the_truth_under_a_huge_unknown_input(tmp_path, name):
     run = Played(plant, found, lost, rate, seconds, rho, u, start, seconds / 4)
     assert np.isfinite(run.error[rate // 5:]).mean() > 0.9
     assert run.rms() < 2 * bar
-    # it knows how good it is: neither far worse than it says, nor far better than it could be
-    error, stated = (np.array(v)[rate // 5:] for v in (run.error, run.stated))
-    assert np.sqrt(np.nanmean((error / stated)**2)) < 1.5
-    assert np.median(stated) < 10 * bar
+    covered, larger = run.honest(rate // 5)
+    assert covered >= 0.9 and 0.7 < larger < 2.0
 
 
-def test_the_motor_is_as_good_as_it_says_where_readings_are_fast(tmp_path):
-    """At 1000 Hz they are straight lines in between, at 100 Hz they are not."""
-    text, lost, observer, out, _, _, rho, u, start, bar = CASES['motor']
+@pytest.mark.parametrize(('name', 'rate', 'seconds'), [
+    ('motor', 100, 6.0), ('motor', 200, 5.0),
+    pytest.param('motor', 1000, 6.0, marks=pytest.mark.slow),
+    ('pmsm', 100, 5.0), pytest.param('pmsm', 200, 5.0, marks=pytest.mark.slow),
+    pytest.param('pmsm', 1000, 4.0, marks=pytest.mark.slow)])
+def test_it_is_as_good_as_it_says_however_often_it_is_read(tmp_path, name, rate, seconds):
+    """The motor's current bends so much that straight lines are off by 5 deviations at 100 Hz."""
+    text, lost, observer, out, _, _, rho, u, start, bar = CASES[name]
     plant, found = made(tmp_path, text, lost, observer, out)
-    run = Played(plant, found, lost, 1000, 1.6, rho, u, start, 0.8)
-    error, stated = np.array(run.error), np.array(run.stated)
-    assert np.isfinite(error).mean() > 0.9 and np.sqrt(np.nanmean(error**2)) < bar
-    assert 0.5 < np.sqrt(np.nanmean((error / stated)**2)) < 1.3
+    run = Played(plant, found, lost, rate, seconds, rho, u, start, 1.0)
+    covered, larger = run.honest()
+    assert covered >= 0.9 and 0.7 < larger < 2.0
+    assert run.rms() < 2.0 * bar
+
+
+def test_readings_slower_than_the_grid_are_put_right_between_them(tmp_path):
+    """On straight lines between them the speed is off by 0.13 rad/s."""
+    text, lost, observer, out, _, _, rho, u, start, bar = CASES['motor']
+    slow = text.replace('noise: 0.01', 'rate: 100, noise: 0.01').replace(
+        'noise: 0.1', 'rate: 100, noise: 0.1')
+    plant, found = made(tmp_path, slow, lost, observer, out)
+    run = Played(plant, found, lost, 100, 5.0, rho, u, start, 1.0, grid=200)
+    covered, larger = run.honest()
+    assert covered >= 0.9 and 0.7 < larger < 2.0
+    assert run.rms() < 2.0 * bar
 
 
 def test_one_that_started_wrong_forgets_that(tmp_path):
@@ -248,7 +278,7 @@ def _record(tmp_path_factory):
     ({'F': []}, r'entries\[0\].F: are not 1, one a state'),
     ({'out': 'thermometer'}, r"entries\[0\].out\[0\]: unknown name 'thermometer'"),
     ({'z': ['level']}, r'entries\[0\].z: holds level, which is a sensor or an input'),
-    ({'z': []}, r'entries\[0\].z: are 0, not 1 to 32'),
+    ({'z': []}, r'entries\[0\].phi: are not 0, one a state'),
     ({'reads': ['thermometer']}, r'entries\[0\].reads: are not healthy sensors'),
     ({'validity': [{'positive': 'level', 'word': ''}]}, r'validity\[0\].word: is not a key'),
     ({'initial': [1.0, 2.0]}, r'entries\[0\].initial: is not 1 numbers'),

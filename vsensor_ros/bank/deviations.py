@@ -58,8 +58,10 @@ class Deviations:
             # what the model errs more now reaches it in time as much as the independent run
             more = 0.0 if self._batch.tracked[i].temporary or wider == 1.0 else \
                 math.sqrt(wider**2 - 1.0) * self._measured.base[output]
-            found = math.hypot(unseen, more, wider * max(
-                self._measured.growth.stated(i, age), self.along(i, state)))
+            growth = self._measured.growth
+            # of one that tells its own, what was computed for where the plant works says no more
+            usual = growth.shown if self._batch.along(i, state.z[row]) else growth.stated
+            found = math.hypot(unseen, more, wider * max(usual(i, age), self.along(i, state)))
         else:
             found = math.hypot(
                 wider * self._measured.base[output], unseen, self._batch.deviation(

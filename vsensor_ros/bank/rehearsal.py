@@ -120,14 +120,21 @@ class Growth:
     def stated(self, i: int, age: float) -> float:
         """Return the standard deviation of a free run at an age [s]."""
         computed = float(self._batch.drift(i, np.array(age)))
+        return max(computed, self._measured_at(i, age, computed))
+
+    def shown(self, i: int, age: float) -> float:
+        """Return what of it was measured; 0: nothing yet."""
+        return self._measured_at(i, age, float(self._batch.drift(i, np.array(age))))
+
+    def _measured_at(self, i: int, age: float, computed: float) -> float:
         table = self._table(i)
         if table is None:
-            return computed
+            return 0.0
         at, measured, last = table
         found = float(np.interp(age, at, measured))
         if age > at[-1]:
             found *= max(1.0, computed / last if 0.0 < last < math.inf else age / float(at[-1]))
-        return max(computed, math.inf if math.isnan(found) else found)
+        return math.inf if math.isnan(found) else found
 
     def _table(self, i: int) -> tuple[np.ndarray, np.ndarray, float] | None:
         """Return ages and what was measured there, and what is computed of the last; or None."""

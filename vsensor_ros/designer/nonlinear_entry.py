@@ -8,7 +8,7 @@ what noise does to it, by slopes at the operating point and over the declared ra
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -17,8 +17,8 @@ from scipy.linalg import expm
 from vsensor_ros.designer.algebra.answer import CERTIFIED, Observer, TEMPORARY
 from vsensor_ros.designer.natural_size import RELATIVE
 from vsensor_ros.designer.noise import INTERVAL, noise_model
+from vsensor_ros.designer.nonlinear_limits import conditions, sample, Sampled, useful
 from vsensor_ros.designer.problem import pose
-from vsensor_ros.designer.sentences import say
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import (
     Apply,
@@ -31,7 +31,7 @@ from vsensor_ros.functions.expression import (
     substitute,
     to_text,
 )
-from vsensor_ros.observers import Condition, NonlinearSensor
+from vsensor_ros.observers import NonlinearSensor
 from vsensor_ros.observers.kinds.nonlinear.batch import LEFT
 from vsensor_ros.observers.kinds.nonlinear.motion import Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import names_in
@@ -40,20 +40,11 @@ from vsensor_ros.plant.plain_name import affine_node
 from vsensor_ros.plant.plant import reading_node
 from vsensor_ros.plant.split import addends
 
-POINTS = 200  # at which slopes are looked at
 LONGEST, TOLD = 3000, 500  # steps: of the drift after the loss, and until all is told
+MOST = 0.9  # of the points
 NEARLY = 1.5  # times the least deviation: then the channels have told enough
 STATE = ':'  # before the name of a state among those of sensors
 LAST, AT_EACH = 1e6, 8  # s of drift that are worked out, and steps of twice the length each
-
-
-@dataclass(frozen=True, eq=False)
-class Sampled:
-    """Points all over where a plant works."""
-
-    x: np.ndarray  # (n, POINTS)
-    u: np.ndarray  # (m, POINTS)
-    y: np.ndarray  # (L, POINTS), linear readings
 
 
 def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, observer: Observer,
@@ -77,9 +68,9 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     if temporary and not tracks:
         return None
     sampled = sample(plant)
-    rate = 0.0 if temporary else observer.rate / (plant.sample_time or 1.0)
+    rate = 0.0 if temporary or not observer.names else observer.rate / (plant.sample_time or 1.0)
     phi = Equations([parse(text) for text in observer.phi], plant.states)
-    low, high = np.array(observer.ranges).T
+    low, high = np.array(observer.ranges).reshape(-1, 2).T
     seen, slopes = phi.slopes(sampled.x)
     low = np.where(np.isfinite(low), low, seen.min(axis=1))
     high = np.where(np.isfinite(high), high, seen.max(axis=1))
@@ -101,14 +92,15 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
         channel, fault_set, reads, plant.inputs, 'temporary' if temporary else 'exact',
         observer.grade == CERTIFIED, observer.names, observer.phi, observer.F, said,
         observer.residuals, tracks,
-        tuple(Condition(c.positive, say(c.reason)) for c in observer.validity), turn,
+        conditions(plant, observer, sampled, noise), turn,
         _region(plant, observer, reads), (low + high) / 2, np.diag((high - low)**2 / 12.0), moved,
         {s: float(noise[plant.sensors.index(s)]) for s in plant.sensors if s in told},
         {s: float(lasts[plant.sensors.index(s)]) for s in plant.sensors if s in told},
         decay=rate, warm_up=0.0, followed=0.0, ages=np.array([0.0, 1.0]), drift=np.zeros(2),
         direct={s: _typical(by_out[0, k + plant.sensors.index(s)]) for s in reads},
         pushes={s: _typical(through[plant.sensors.index(s)]) for s in reads},
-        sample_time=plant.sample_time, words=_words(observer))
+        useful=useful(plant, sampled.y[own], turn), sample_time=plant.sample_time,
+        words=_words(observer) or 'what readings tell at once')
     return _grown(plant, entry, sampled, seen)
 
 
@@ -118,24 +110,6 @@ def _words(observer: Observer) -> str:
         f'{said}: a change of coordinates that you could choose as a state'
 
 
-def sample(plant: Plant, seed: int = 0) -> Sampled:
-    """Return points in the declared ranges; about the operating point where these are open."""
-    random = np.random.default_rng(seed)
-
-    def within(ranges: np.ndarray, point: np.ndarray) -> np.ndarray:
-        beside = np.maximum(1.0, np.abs(point))
-        low, high = (np.where(np.isfinite(ranges).all(axis=1), side, other)[:, None]
-                     for side, other in zip(ranges.T, (point - beside, point + beside)))
-        return random.uniform(low, high, (len(point), POINTS))
-    x = within(plant.ranges, plant.operating_point)
-    u = within(plant.input_range, plant.operating_input)
-    with np.errstate(all='ignore'):
-        y = Equations([reading_node(plant, i) for i in range(len(plant.sensors))], (
-            *plant.states, *plant.inputs, *plant.unknown_inputs)).values(np.concatenate([
-                x, u, np.zeros((len(plant.unknown_inputs), POINTS))])) - plant.Cu @ u
-    return Sampled(x, u, y)
-
-
 def _rms(*parts: np.ndarray) -> np.ndarray:
     """Return the root of the mean over points of the sum of squares (k,) of (k, .., points)."""
     total = sum((part**2).sum(axis=1) for part in parts)
@@ -143,8 +117,9 @@ def _rms(*parts: np.ndarray) -> np.ndarray:
 
 
 def _typical(values: np.ndarray) -> float:
-    found = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(found**2))) if len(found) else 0.0
+    """Return how large they are in most places, which a pole in one does not change."""
+    found = np.abs(values[np.isfinite(values)])
+    return float(min(np.sqrt(np.mean(found**2)), np.quantile(found, MOST))) if len(found) else 0.0
 
 
 def _region(plant: Plant, observer: Observer,
@@ -162,6 +137,8 @@ def _region(plant: Plant, observer: Observer,
 def _tracks(plant: Plant, fault_set: tuple[str, ...], channel: str, observer: Observer,
             out: str) -> tuple[str, ...]:
     """Return what is 0 in truth of z and readings of the channels, too."""
+    if not observer.names:
+        return ()
     apart = {state: Name(STATE + state) for state in plant.states}  # a sensor may be called so
     readings = {s: fold(substitute(reading_node(plant, i), apart))
                 for i, s in enumerate(plant.sensors)}
@@ -220,13 +197,11 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
     J, W = (found[0] for found in motion.linear(x[None], v))
     E, driven = (J, W) if plant.sample_time is not None else (expm(J * period), period * W)
     y, u = np.split(v, [len(plant.sensors)])
-    k = entry.order
 
     def after(P: np.ndarray, tracked: bool) -> tuple[np.ndarray, float]:
-        z = np.concatenate([x, (E @ P @ E.T + driven).ravel(), np.zeros(2)])[None]
-        z = motion.corrected(z, y, u, tracked)
-        P = z[0, k:k + k * k].reshape(k, k)
-        z[0, :k] = x
+        z = motion.corrected(motion.state(x, E @ P @ E.T + driven)[None], y, u, tracked)
+        P = motion.covariance(z)[0]
+        z[0, :len(x)] = x
         return P, motion.deviation(z, y, u)
     P, said = entry.start, []
     if entry.tracks:
@@ -236,9 +211,10 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             if len(said) > 20 and said[-20] - deviation < 1e-4 * deviation:
                 break
     followed = period * (1 + int(np.argmax(np.array(said) <= NEARLY * said[-1]))) if said else 0.0
-    ages, drift = [0.0], [said[-1] if said else motion.deviation(np.concatenate(
-        [x, P.ravel(), np.zeros(2)])[None], y, u)]
+    ages, drift = [0.0], [said[-1] if said else motion.deviation(motion.state(x, P)[None], y, u)]
     step = 1
+    if not entry.z:
+        return replace(entry, drift=np.full(2, drift[0]))
     while ages[-1] < LONGEST * period:
         for _ in range(step):
             P, deviation = after(P, False)
@@ -253,7 +229,7 @@ def _grown(plant: Plant, entry: NonlinearSensor, sampled: Sampled,
             drift.append(deviation)
     known = np.isfinite(drift)
     ages, drift = list(np.array(ages)[known]), list(np.array(drift)[known])
-    first = motion.deviation(np.concatenate([x, entry.start.ravel(), np.zeros(2)])[None], y, u)
+    first = motion.deviation(motion.state(x, entry.start)[None], y, u)
     return replace(
         entry, ages=np.array(ages), drift=np.array(drift),
         warm_up=0.0 if not entry.decay else

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from vsensor_ros.observers.knowledge import Certificate, Noise, Proof
 
 Key = tuple[tuple[str, ...], str]  # fault set and channel
@@ -76,3 +78,11 @@ class Refusal:
     reason: str  # one sentence, in the user's names
     doubts: tuple[str, ...] = ()  # decisions on a rank that are ambiguous
     alternative: str = ''  # one sentence: there is one that unknown inputs disturb, bounded
+
+
+def read_only(record: object) -> None:
+    """Let nobody write to the arrays of a record: a fresh one and a loaded one are alike."""
+    for value in vars(record).values():
+        for array in value if isinstance(value, tuple) else (value,):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False

@@ -367,7 +367,8 @@ def _function(entry: NonlinearSensor, unit: str,
     if entry.grade == 'temporary':
         proved = ('nothing is certified: it starts from the last good readings of '
                   + ', '.join(entry.channels))
-    return [('order', f'{entry.order} (nothing proved of the least)'),
+    return [('order', f'{entry.order} (nothing proved of the least)' if entry.z else
+             '0: other readings tell it at once'),
             *(('function' if not i else '', f'{name} = {phi}')
               for i, (name, phi) in enumerate(zip(entry.z, entry.phi))),
             *((f'{name}{mark}', to_words(parse(text))) for name, text in zip(entry.z, entry.F)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ LEVELS = ((1, False, False), (2, False, False), (2, True, False), (2, True, True
 _WIDER = (2, False, False)
 _BEFORE_PROOF = 2  # levels, which are cheaper than to prove that there is nothing
 _BEGINNINGS = 5  # functions tried, while the error of an observer of one may grow
+AT_ONCE = Stability(CERTIFIED, math.inf, np.zeros((0, 0)))  # there is no state to be off
 _SEPARATED = 4  # functions added at most so that the output map has one value
 
 
@@ -163,14 +165,10 @@ def attempt_from(inside: Inside, begun: Sequence[Function],
     candidate = candidate_in(inside, begun)
     if candidate is None or isinstance(candidate, Answer):
         return candidate
-    if not candidate.functions:
-        return Answer(Verdict.NOT_DECIDED, Reason.of(
-            'functions static', wanted=', '.join(inside.model.wanted), out=', '.join(
-                to_text(told.fit.node) for told in candidate.told.values())))
     signs = tuple((node, 1) for name, node in targets_of(inside.model).items()
                   if not candidate.told[name].branch)
     error = error_system(candidate, signs)
-    known = stability(error)
+    known = stability(error) if candidate.functions else AT_ONCE
     phi = tuple(f.text for f in candidate.functions)
     if known.grade not in (CERTIFIED, SAMPLED) and candidate.twins is None:
         better = with_measured(wider(), candidate, error)
@@ -390,7 +388,8 @@ def observer(candidate: Candidate, error: ErrorSystem, known: Stability,
         () if known.grade == TEMPORARY else
         tuple(tuple(map(float, row)) for row in known.metric), False,
         tuple(f.text for f in candidate.functions),
-        all(len(names(f.node)) == 1 for f in candidate.functions), digits.DIGITS,
+        bool(candidate.functions) and all(len(names(f.node)) == 1 for f in candidate.functions),
+        digits.DIGITS,
         model.system.sample_time)
 
 

@@ -25,8 +25,6 @@ add_sentences({
     'functions many-valued': _many_valued,
     'functions not stable': 'a function is there ({phi}), but an error of its observer may grow, '
     'at a rate of up to {growth:.3g}',
-    'functions static': '{wanted} is {out} of healthy readings at once, which no observer has to '
-    'estimate: give the sensor that curve of a state which the others read',
     'functions singular': '{part} must stay away from 0 (here {floor:.3g})',
     'functions root': '{part} must stay positive',
     'functions rank close': 'the rank is not clear at the points that were tried',

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.observers.entry import read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +46,7 @@ class Model:
     definitions: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        read_only(self)
 
     @property
     def circle(self) -> tuple[int, int]:

@@ -8,6 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from vsensor_ros.observers.entry import read_only
+
 
 @dataclass(frozen=True, eq=False)
 class FaultObserver:
@@ -46,9 +48,7 @@ class FaultObserver:
     deviations: np.ndarray  # (o,) standard deviations in steady state [unit of the output]
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        read_only(self)
 
     @property
     def order(self) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
 from vsensor_ros.functions.nonlinearity import NonlinearTerm
+from vsensor_ros.observers.entry import read_only
 from vsensor_ros.observers.kinds.functional.argument_name import argument_place, together
 from vsensor_ros.observers.knowledge import Certificate, Noise, Proof, Rung
 
@@ -42,7 +43,7 @@ class Tracking:
     slopes: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        read_only(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class VirtualSensor:
             object.__setattr__(self, 'Qu', np.zeros((len(self.Cv), m)))
         if self.Gu is None:
             object.__setattr__(self, 'Gu', tuple(np.zeros((len(g), m)) for g in self.Gz))
-        _freeze(self)
+        read_only(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -145,14 +146,6 @@ class VirtualSensor:
         return together((self.inputs[argument], low, high) if term is None
                         else argument_place(self.terms[term], argument, low, high)
                         for term, argument, low, high in c.region)
-
-
-def _freeze(data: Tracking | VirtualSensor) -> None:
-    """Let nobody write to the arrays: a fresh one and a loaded one are alike."""
-    for value in vars(data).values():
-        for array in value if isinstance(value, tuple) else (value,):
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
 
 
 def is_stable(eigenvalues: np.ndarray, sample_time: float | None) -> bool:

@@ -10,13 +10,17 @@ import numpy as np
 
 from vsensor_ros.observers.contents import Contents
 from vsensor_ros.observers.kinds.batch import Batch, StepOfSome, Told, Tracked
-from vsensor_ros.observers.kinds.nonlinear.motion import Motion
+from vsensor_ros.observers.kinds.nonlinear.motion import BLIND, Motion
 from vsensor_ros.observers.kinds.nonlinear.sensor import NonlinearSensor
 from vsensor_ros.reason import add_sentences, Reason
 
 LEFT = 0.3  # of the steady deviation: what is left of the start when it is forgotten
 
-add_sentences({'where it says nothing': '{words}'})
+add_sentences({
+    'where it says nothing': '{words}',
+    'where nothing follows': 'what it divides by, or takes a root of, is 0 within its noise',
+    'says too little': 'its deviation is {deviation:.3g}, and {useful:.3g} is what the declared '
+                       'ranges tell without it'})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,9 +72,10 @@ class NonlinearBatch(Batch):
         first, last, mean = commands
         y0, y1 = before.y - self.Cu @ first, after.y - self.Cu @ last
         y, u = after.y - self.Cu @ after.held, after.held
+        ages = np.stack([before.ages, after.ages])
         for motion, at, follows in groups:
             begin = np.concatenate([y0, first if motion.continuous else mean])
-            own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]))
+            own = motion.step(z[at, :motion.width], begin, np.concatenate([y1, last]), ages)
             for tracked in (False, True):
                 some = follows == tracked
                 if some.any() and motion.fresh(after.ages, tracked):
@@ -97,10 +102,16 @@ class NonlinearBatch(Batch):
 
     def invalid(self, output: int, z: np.ndarray, told: Told, age: float) -> Reason | None:
         """Return which condition fails."""
+        entry, deviation = self.entries[output], self._deviation(output, z[output])
         failing = self.motions[output].failing(
             z[[output]], told.y - self.Cu @ told.held, told.held)[:, 0]
-        return Reason.of('where it says nothing', words=self.entries[output].validity[
-            int(np.argmax(failing))].words) if failing.any() else None
+        if failing.any():
+            return Reason.of('where it says nothing',
+                             words=entry.validity[int(np.argmax(failing))].words)
+        if deviation >= BLIND:
+            return Reason('where nothing follows')
+        return Reason.of('says too little', deviation=deviation, useful=entry.useful) \
+            if entry.useful and deviation > entry.useful else None
 
     def outside_region(self, output: int, z: np.ndarray, told: Told) -> bool:
         """Tell whether z, a reading or a command is out of the ranges of the proof."""
@@ -111,7 +122,8 @@ class NonlinearBatch(Batch):
     def deviation(self, output: int, z: np.ndarray, told: Told, age: float) -> float:
         """Return what its covariance says, and what may be left of the start at worst."""
         entry = self.entries[output]
-        left = 0.0 if entry.grade == 'temporary' else float(entry.drift[-1]) * math.exp(
+        forgotten = entry.grade == 'temporary' or not entry.z
+        left = 0.0 if forgotten else float(entry.drift[-1]) * math.exp(
             min(entry.decay * (entry.warm_up - age), 700.0))
         return math.hypot(self._deviation(output, z[output]), LEFT * left)
 
@@ -120,8 +132,7 @@ class NonlinearBatch(Batch):
         return self._deviation(self.tracked[i].own, z)
 
     def _deviation(self, i: int, z: np.ndarray) -> float:
-        found = float(z[self.motions[i].width - 1])
-        return found if math.isfinite(found) else math.inf
+        return float(z[self.motions[i].deviating])
 
     def drift(self, i: int, ages: np.ndarray) -> np.ndarray:
         """Return what was worked out; beyond it nobody knows unless it had settled."""

@@ -15,7 +15,7 @@ from vsensor_ros.observers.kinds.nonlinear.sensor import Condition, names_in, No
 _MOST = 32  # states, and expressions of each sort
 _BY_SENSOR = ('noise_of', 'lasts', 'direct', 'pushes')
 _TEXTS = ('phi', 'F', 'residuals', 'tracks')
-_NUMBERS = ('turn', 'decay', 'warm_up', 'followed')
+_NUMBERS = ('turn', 'decay', 'warm_up', 'followed', 'useful')
 _WORDS = ('words', 'why')
 
 
@@ -42,9 +42,9 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     if channel not in fault_set:
         raise reader.fail('channel', f'{channel} is not a sensor of its fault set')
     taken = {*plant.sensors, *plant.inputs} & set(z)
-    if taken or not 0 < len(z) <= _MOST:
+    if taken or len(z) > _MOST:
         raise reader.fail('z', f'holds {min(taken)}, which is a sensor or an input' if taken
-                          else f'are {len(z)}, not 1 to {_MOST}')
+                          else f'are {len(z)}, more than {_MOST}')
     grade, known = reader.word('grade', ('exact', 'temporary')), (*z, *reads, *plant.inputs)
     texts = {key: reader.texts(key) for key in _TEXTS}
     for key in ('phi', 'F'):
@@ -61,6 +61,8 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
         item.only(('positive', 'words'))
     validity = tuple(Condition(item.text('positive'), item.text('words')) for item in conditions)
     _check(reader, 'validity', [c.positive for c in validity], known)
+    if not z and (grade == 'temporary' or texts['tracks'] or texts['residuals']):
+        raise reader.fail('z', 'are none, of which nothing is to be tracked')
     if grade == 'temporary' and not texts['tracks']:
         raise reader.fail('tracks', 'are missing: nothing tells a temporary one where to start')
     every = {*reads, *(names_in(texts['tracks']) & set(fault_set))}
@@ -77,9 +79,9 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     for key in ('process_noise', 'drift'):
         if (vectors[key] < 0.0).any():
             raise reader.fail(key, 'must not be negative')
-    size = float(np.abs(start).max())
+    size = float(np.abs(start).max(initial=0.0))
     if not np.allclose(start, start.T, 1e-9, 1e-9 * size) or \
-            np.linalg.eigvalsh(start + start.T).min() < -1e-9 * size:
+            np.linalg.eigvalsh(start + start.T).min(initial=0.0) < -1e-9 * size:
         raise reader.fail('start', 'is no covariance')
     rest: dict[str, Any] = {**texts, **by_sensor, **vectors,
                             **{key: reader.size(key) for key in _NUMBERS},

@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from vsensor_ros.functions.expression import names, parse
+from vsensor_ros.observers.entry import read_only
 
 
 class Condition(NamedTuple):
@@ -21,7 +22,7 @@ class Condition(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class NonlinearSensor:
     """
-    A virtual sensor z = phi(x), k states, all of it in expressions.
+    A virtual sensor z = phi(x), k states, all of it in expressions; k = 0: readings tell at once.
 
     They are over z (its names), sensors and inputs; those of `tracks` may hold sensors of the
     fault set. Noise by sensor, of those in the expressions.
@@ -57,14 +58,13 @@ class NonlinearSensor:
     drift: np.ndarray  # (T,) its standard deviation at the operating point
     direct: Mapping[str, float]  # slopes of what it says by readings,
     pushes: Mapping[str, float]  # and [1/s] through z, at most where it works
+    useful: float  # deviation from which on the declared ranges tell as much; 0: not known
     sample_time: float | None
     words: str = ''  # what z is, for people
     why: str = ''  # it stands there and no linear one
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        read_only(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:

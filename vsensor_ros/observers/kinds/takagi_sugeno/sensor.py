@@ -7,6 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from vsensor_ros.observers.entry import read_only
+
 
 @dataclass(frozen=True, eq=False)
 class ScheduledSensor:
@@ -47,9 +49,7 @@ class ScheduledSensor:
     turns: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for array in vars(self).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+        read_only(self)
 
     @property
     def outputs(self) -> tuple[str, ...]:
