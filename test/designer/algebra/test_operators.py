@@ -8,7 +8,7 @@ import pytest
 
 from vsensor_ros.designer.algebra import Verdict
 from vsensor_ros.designer.algebra.dictionary import Atom, build
-from vsensor_ros.designer.algebra.invariant import free_of_unknown, largest
+from vsensor_ros.designer.algebra.invariant import free_of_unknown, largest, products
 from vsensor_ros.designer.algebra.model import read
 from vsensor_ros.designer.algebra.operators import (
     at_most,
@@ -22,7 +22,7 @@ from vsensor_ros.designer.algebra.operators import (
     Space,
 )
 from vsensor_ros.designer.algebra.reduction import closed, Inside, remainder
-from vsensor_ros.designer.algebra.search import dictionary, find
+from vsensor_ros.designer.algebra.search import find
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import Name, to_text
 
@@ -146,7 +146,7 @@ def told(model, own, span):
 
 def test_three_tanks_of_the_paper():
     model = read(three_tanks('x3'))
-    own = dictionary(model, 1, False, False)
+    own = products(model, 1, False, False)
     assert told(model, own, free_of_unknown(model, own)) == {'x2', 'x3'}
     assert told(model, own, largest(model, own)) == {'x3'}
     both = read(three_tanks('x1', 'x3'))
