@@ -34,7 +34,7 @@ from vsensor_ros.designer.algebra.reduction import beginnings, Inside
 from vsensor_ros.designer.algebra.residuals import with_residuals
 from vsensor_ros.designer.algebra.validity import conditions
 from vsensor_ros.designer.calm import calmly
-from vsensor_ros.functions.expression import names, Node, to_text
+from vsensor_ros.functions.expression import names, Node, parse, to_text
 from vsensor_ros.reason import Reason
 
 # degree, negative powers, log and sqrt: the cheap ones first
@@ -62,7 +62,7 @@ def _found(model: Model, levels: Sequence[tuple[int, bool, bool]]) -> Answer:
     if model.discrete and (short := image_rank(model)) < len(model.states):
         return Answer(Verdict.NOT_DECIDED, Reason.of(
             'functions not submersive', rank=short, states=len(model.states)))
-    refused: Answer | None = None
+    best: Answer | None = None
     looked_at = (0, 0)
     for i, level in enumerate(levels):
         if i == min(_BEFORE_PROOF, len(levels) - 1):
@@ -79,15 +79,39 @@ def _found(model: Model, levels: Sequence[tuple[int, bool, bool]]) -> Answer:
         if not inside.told():
             continue
         answer = attempt(inside, lambda inside=inside: _wider(inside))  # type: ignore[misc]
-        if answer is None:
+        best = _better(best, answer)
+        if best is None or best.verdict is not Verdict.YES:
             continue
-        if answer.observer is not None:
-            return answer
-        refused = answer if refused is None or refused.verdict is not Verdict.YES else refused
-        if refused.verdict is Verdict.YES and (i + 1 >= len(levels) or levels[i + 1][0] > 2):
+        if _settled(best) or i + 1 >= len(levels) or levels[i + 1][0] > 2:
             break
-    return refused or Answer(Verdict.NOT_DECIDED, Reason.of(
+    return best or Answer(Verdict.NOT_DECIDED, Reason.of(
         'functions none found', wanted=wanted, count=looked_at[1], degree=looked_at[0]))
+
+
+def _better(best: Answer | None, answer: Answer | None) -> Answer | None:
+    """
+    Return the better of two answers, the earlier one of two that are as good.
+
+    That the error of 1/x stays says nothing where that of x grows: both tell the same.
+    """
+    if best is None or answer is None:
+        return best or answer
+    lasting = answer.observer is not None and answer.observer.grade != TEMPORARY
+    same = len(best.gamma) == len(answer.gamma) == 1
+    if lasting or best.verdict is not Verdict.YES:
+        return answer if lasting or answer.verdict is Verdict.YES else best
+    return answer if best.observer is None and answer.observer is not None and not same else best
+
+
+def _settled(answer: Answer) -> bool:
+    """
+    Tell whether no other function will do better, or too many would have to be looked at.
+
+    Where nothing acts on the error of one, nothing does in whatever other coordinate.
+    """
+    found = answer.observer
+    return found is not None and (found.grade != TEMPORARY or len(answer.gamma) > 1
+                                  or found.names[0] not in names(parse(found.F[0])))
 
 
 def image_rank(model: Model) -> int:
@@ -110,17 +134,14 @@ def attempt(inside: Inside, wider: Callable[[], Inside]) -> Answer | None:
 
     wider: gives gamma* of a dictionary that is large enough for what helps to converge.
     """
-    first: Answer | None = None
+    best: Answer | None = None
     for begun in beginnings(inside, list(targets_of(inside.model).values()), _BEGINNINGS):
         found = attempt_from(inside, begun, wider)
-        if found is None:
-            return first
-        if found.observer is not None and (first is None or found.observer.grade != TEMPORARY):
-            return found  # that the error of 1/x stays says nothing where that of x grows
-        first = first or found
-        if found.reason is not None and found.reason.code != 'functions not stable':
+        best = _better(best, found)
+        if found is None or best is None or _settled(best) or (
+                found.reason is not None and found.reason.code != 'functions not stable'):
             break  # another function tells no more
-    return first
+    return best
 
 
 def attempt_from(inside: Inside, begun: Sequence[Function],
