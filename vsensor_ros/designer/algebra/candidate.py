@@ -12,7 +12,7 @@ from vsensor_ros.designer.algebra import digits
 from vsensor_ros.designer.algebra.answer import Answer, Verdict
 from vsensor_ros.designer.algebra.coefficients import Function, next_of
 from vsensor_ros.designer.algebra.contraction import ErrorSystem
-from vsensor_ros.designer.algebra.derivative import call, rebuilt
+from vsensor_ros.designer.algebra.derivative import call, derivative, rebuilt
 from vsensor_ros.designer.algebra.fit import Fitted, fitted, Known, plant_atoms
 from vsensor_ros.designer.algebra.invariant import products
 from vsensor_ros.designer.algebra.model import Model
@@ -23,6 +23,7 @@ from vsensor_ros.functions.expression import Name, names, Node, Number, substitu
 from vsensor_ros.reason import Reason
 
 _SEPARATED = 4  # functions added at most so that the output map has one value
+_SLOPES = ((1, False), (2, False), (2, True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,22 @@ def right_sides(model: Model, chosen: Sequence[Function], known: Sequence[Known]
             return None
         result.append(found)
     return result
+
+
+def slopes_of(candidate: Candidate) -> tuple[tuple[str, ...], ...]:
+    """Return dphi/dx (k, n) as expressions of what the run knows; () where one is none."""
+    model = candidate.model
+    known, exact = known_of(model, candidate.names, candidate.functions), exact_of(
+        candidate.functions)
+    known = [*known, *plant_atoms(model, known)]
+    rows = []
+    for f in candidate.functions:
+        row = [fitted(model, derivative(f.node, state), known, exact, _SLOPES)
+               for state in model.states]
+        if None in row:
+            return ()
+        rows.append(tuple(found.text for found in row if found is not None))
+    return tuple(rows)
 
 
 def recovered(model: Model, chosen: Sequence[Function], known: Sequence[Known],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from vsensor_ros.designer.algebra.candidate import (
     Candidate,
     candidate_in,
     error_system,
+    slopes_of,
     targets_of,
 )
 from vsensor_ros.designer.algebra.coefficients import Function
@@ -78,7 +80,7 @@ def _found(model: Model, levels: Sequence[tuple[int, bool, bool]]) -> Answer:
         inside = Inside(model, own, largest(model, own))
         if not inside.told():
             continue
-        answer = attempt(inside, lambda inside=inside: _wider(inside))  # type: ignore[misc]
+        answer = attempt(inside, cache(partial(_wider, inside)))
         best = _better(best, answer)
         if best is None or best.verdict is not Verdict.YES:
             continue
@@ -203,7 +205,9 @@ def observer(candidate: Candidate, error: ErrorSystem, known: Stability,
         tuple(tuple(map(float, row)) for row in known.metric), False,
         tuple(f.text for f in candidate.functions),
         all(len(names(f.node)) == 1 for f in candidate.functions), digits.DIGITS,
-        model.system.sample_time)
+        model.system.sample_time,
+        # what drives several of them at once, and healthy sensors tell of one by another
+        slopes_of(candidate) if zeros and not model.discrete else ())
 
 
 def _many_valued(candidate: Candidate) -> Reason:
