@@ -1,12 +1,17 @@
 """The designer asks for nonlinear functions by itself where no linear map does as well."""
 
+import json
+
 import numpy as np
 import pytest
 
 from vsensor_ros import design, load_plant
+from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.designer.algebra.derivative import SMOOTH
-from vsensor_ros.observers import NonlinearSensor, Refusal, VirtualSensor
+from vsensor_ros.functions.equations import Equations
+from vsensor_ros.functions.expression import parse
+from vsensor_ros.observers import Design, NonlinearSensor, Refusal, VirtualSensor
 from vsensor_ros.simulate.simulate import readings, simulate
 
 # its unknown input, the voltage over the field winding, is linear
@@ -110,3 +115,22 @@ def test_one_that_is_corrected_goes_before_a_linear_one_that_drifts(tmp_path):
             error.append(bank.estimate(lost, 'compass') - x[k, 2])
     drifted = 0.005 * (t[-1] - t[100])  # what adding up the gyro comes to
     assert abs(np.array(error)[-100:]).max() < 0.5 * drifted
+
+
+def test_what_noise_does_to_each_is_in_the_design(tmp_path):
+    """One noise of the heading drives all three: with what it does to them it is in the file."""
+    made_of = design(made(tmp_path, BASE), ['compass'])
+    made_of.save(tmp_path / 'd.json')
+    entry = Design.load(tmp_path / 'd.json')['compass', 'compass']
+    assert entry.driven == made_of['compass', 'compass'].driven and not entry.process_noise.any()
+    known = {'z1': 0.6, 'z2': 0.8, 'z3': 0.0, 'east': 2.0, 'north': 3.0, 'turn': 0.0}
+    G = Equations([parse(text) for text in entry.driven], list(known)).values(
+        np.array(list(known.values()))[:, None]).reshape(3, 3)
+    # of sin, cos, and y cos - x sin, by x, y and the heading
+    assert np.allclose(G, 0.005 * np.array([[0, 0, 0.8], [0, 0, -0.6],
+                                            [-0.6, 0.8, -3.0 * 0.6 - 2.0 * 0.8]]))
+    record = json.loads((tmp_path / 'd.json').read_text())
+    record['entries'][0]['driven'].pop()
+    (tmp_path / 'd.json').write_text(json.dumps(record))
+    with pytest.raises(BadInput, match='driven: are not as many for each of 3 states'):
+        Design.load(tmp_path / 'd.json')
