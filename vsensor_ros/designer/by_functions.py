@@ -33,7 +33,7 @@ from vsensor_ros.plant.plant import reading_node
 from vsensor_ros.reason import Reason
 
 LARGEST = 16  # states of a plant that is asked about
-SMALL = 4
+SMALL = 2
 
 
 def by_functions(plant: Plant, fault_set: tuple[str, ...],
