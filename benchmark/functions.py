@@ -1,16 +1,20 @@
 """
-How long the algebra of functions searches, over tanks in a row.
+How long the algebra of functions searches: the study's systems, and tanks in a row.
 
 Chains of 2 to 8 tanks (gamma* among products of degree 3), and cascades of as many heated tanks,
-found, reduced and confirmed from end to end. Processor time: a busy machine tells the same.
+found, reduced and confirmed from end to end. Processor time on one core, the least of three.
 
     python -m benchmark.functions [MOST]
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+import importlib.util
+from pathlib import Path
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +24,8 @@ from vsensor_ros.designer.algebra.invariant import largest
 from vsensor_ros.designer.algebra.model import read
 from vsensor_ros.functions.expression import Name
 
+SYSTEMS = Path(__file__).parents[1] / 'test/designer/algebra/systems.py'
+RUNS = 3
 LARGEST = 8
 DEGREE = 3
 
@@ -46,8 +52,30 @@ def heated(n: int) -> System:
                   {'P': (0.0, 10.0)}, {'rho': (0.0, 2.0)})
 
 
+def taken(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the least processor time [s] of some runs, and what came of the last."""
+    least, result = float('inf'), None
+    for _ in range(RUNS):
+        start = time.process_time()
+        result = work()
+        least = min(least, time.process_time() - start)
+    return least, result
+
+
+def systems() -> dict[str, System]:
+    """Return the study's systems, as the tests have them."""
+    spec = importlib.util.spec_from_file_location('systems', SYSTEMS)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules['systems'] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return {name: case.system for name, case in module.CASES.items()}
+
+
 def main(most: int = LARGEST) -> None:
-    """Print a line for each number of tanks."""
+    """Print a line for each system, and for each number of tanks."""
+    for name, system in systems().items():
+        took, answer = taken(lambda system=system: find(system))  # type: ignore[misc]
+        print(f'{name:26s}  {took:5.2f} s  {answer.observer.grade}', flush=True)
     print('tanks  chain: products  gamma*      time  heated cascade: order      time')
     for n in range(2, most + 1):
         model = read(chain(n))

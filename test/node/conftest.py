@@ -212,11 +212,11 @@ class Rig:
     def spin(self, seconds=0.02):
         self.spin_until(lambda: False, seconds)
 
-    def step(self, *messages, periods=1):
+    def step(self, *messages, periods=1, period=PERIOD):
         """Send (topic, message) pairs with the next stamp, and step the clock to it."""
         streams = {topic.subscription.topic_name for topic in self.replacer.topics}
         for _ in range(periods):
-            self.now += PERIOD
+            self.now += period
             before = self.taken.copy()
             expected = Counter()
             for topic, message in messages:

@@ -13,6 +13,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.designer.algebra import find, System
+from vsensor_ros.designer.algebra.derivative import SMOOTH
 from vsensor_ros.designer.nonlinear_entry import nonlinear_entry
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.functions.expression import (
@@ -24,6 +25,7 @@ from vsensor_ros.functions.expression import (
     parse,
     substitute,
     to_text,
+    walk,
 )
 from vsensor_ros.observers import NonlinearSensor
 from vsensor_ros.plant import Plant
@@ -31,6 +33,7 @@ from vsensor_ros.plant.plant import reading_node
 from vsensor_ros.reason import Reason
 
 LARGEST = 16  # states of a plant that is asked about
+SMALL = 2
 
 
 def by_functions(plant: Plant, fault_set: tuple[str, ...],
@@ -52,6 +55,21 @@ def by_functions(plant: Plant, fault_set: tuple[str, ...],
         out = out if factor == 1.0 else f'{factor!r}*({out})'
     return nonlinear_entry(plant, fault_set, channel, answer.observer, out, turn) or \
         Reason.of('function not tracked')
+
+
+def is_worth_asking(plant: Plant, fault_set: tuple[str, ...], channel: str,
+                    refused: bool) -> bool:
+    """
+    Tell whether to ask unasked, of a plant whose unknown inputs and sensors are linear.
+
+    Where there is a linear virtual sensor, though nothing is proved of it, only of small plants of
+    which something can be: it would take longer than the whole design.
+    """
+    if channel not in fault_set or not plant.terms or not plant.equations:
+        return False
+    return refused or (plant.sample_time is None and len(plant.states) <= SMALL and all(
+        part.function in SMOOTH for text in plant.equations for part in walk(parse(text))
+        if isinstance(part, Apply)))
 
 
 def system_of(plant: Plant, fault_set: tuple[str, ...], channel: str) -> System | Reason:

@@ -17,7 +17,7 @@ from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
 from vsensor_ros.designer.alternatives import beside_filter, beside_scheduled, quietest
 from vsensor_ros.designer.bounded import alternative, least_sensitive
-from vsensor_ros.designer.by_functions import by_functions
+from vsensor_ros.designer.by_functions import by_functions, is_worth_asking
 from vsensor_ros.designer.calm import calmly
 from vsensor_ros.designer.certificate import certify, on_declared_ranges
 from vsensor_ros.designer.exact import ExactVerdict, verdict
@@ -48,6 +48,7 @@ from vsensor_ros.designer.work_file import fingerprint, WorkFile
 from vsensor_ros.functions.expression import check_name
 from vsensor_ros.observers import (
     Design,
+    deviation_after,
     Entry,
     Key,
     NonlinearSensor,
@@ -252,8 +253,7 @@ def _ask(fingerprint: str | None, plant: Plant, choices: Choices, key: Key,
             if instead is not None:
                 return replace(instead, why=beside_filter(
                     found, over, choices.follows and lost is None))
-        if isinstance(function, NonlinearSensor) and choices.temporary and \
-                isinstance(found, Refusal):
+        if isinstance(function, NonlinearSensor) and choices.temporary:
             return function
         for why in (over, function):
             if isinstance(why, Reason):
@@ -364,19 +364,33 @@ def _function(plant: Plant, key: Key,
     """
     Return a nonlinear function where no linear one is known to converge, or why there is none.
 
-    Unasked only of plants whose unknown inputs, or sensors, are nonlinear: of others the search
-    would take longer than the whole design, and what it adds to Kalman filters is not known yet.
+    None: not asked for, or no better than what is there.
     """
-    if plant.unknown is None:
+    refused = isinstance(found, Refusal)
+    if plant.unknown is None and not is_worth_asking(plant, *key, refused):
         return None
     function = by_functions(plant, *key)
+    if isinstance(found, Refusal):
+        return function if isinstance(function, Reason) else replace(
+            function, why=say(Reason.of('filter, none', reason=found.reason)))
+    if plant.unknown is None and (isinstance(function, Reason) or not function.proved):
+        return None  # of it no more is known than of the linear one
     if isinstance(function, Reason):
         return function
-    if isinstance(found, Refusal):
-        return replace(function, why=say(Reason.of('filter, none', reason=found.reason)))
-    of = Reason.of('linear, for a time', order=found.order) if found.grade == 'temporary' \
-        else Reason.of('linear, unproved', order=found.order)
-    return replace(function, why=say(of))
+    if found.grade != 'temporary' and function.grade == 'temporary':
+        return None
+    if found.grade != 'temporary':
+        return replace(function, why=say(Reason.of('linear, unproved', order=found.order)))
+    if function.grade == 'temporary' and not _good_for_longer(function, found):
+        return None
+    return replace(function, why=say(Reason.of('linear, for a time', order=found.order)))
+
+
+def _good_for_longer(function: NonlinearSensor, linear: VirtualSensor) -> bool:
+    """Tell whether what healthy sensors say keeps a function better than the linear one is."""
+    after = function.ages > 0.0
+    return bool(function.residuals) and bool((
+        function.drift[after] < deviation_after(linear, function.ages[after])).all())
 
 
 def _nor(entry: VirtualSensor | Refusal, why: Reason) -> VirtualSensor | Refusal:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from vsensor_ros.designer.algebra.answer import CERTIFIED, Observer, TEMPORARY
+from vsensor_ros.designer.algebra.derivative import derivative, times
 from vsensor_ros.designer.natural_size import RELATIVE
 from vsensor_ros.designer.noise import INTERVAL, noise_model
 from vsensor_ros.designer.nonlinear_limits import conditions, sample, Sampled, useful
@@ -86,12 +87,14 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     by_F, by_out = (Equations([parse(text) for text in some], known).slopes(at)[1]
                     for some in (observer.F, [out]))
     driven = np.nan_to_num(plant.input_noise)
-    moved = _rms((slopes * process[:, None]), (by_F[:, k + L:] * driven[:, None]))
+    drives = _driven(observer, plant.inputs, process, driven)
+    moved = np.zeros(k) if drives else _rms(
+        slopes * process[:, None], by_F[:, k + L:] * driven[:, None])
     through = np.einsum('zn,zln->ln', by_out[0, :k], by_F[:, k:k + L])
     entry = NonlinearSensor(
         channel, fault_set, reads, plant.inputs, 'temporary' if temporary else 'exact',
         observer.grade == CERTIFIED, observer.names, observer.phi, observer.F, said,
-        observer.residuals, tracks,
+        observer.residuals, tracks, drives,
         conditions(plant, observer, sampled, noise), turn,
         _region(plant, observer, reads), (low + high) / 2, np.diag((high - low)**2 / 12.0), moved,
         {s: float(noise[plant.sensors.index(s)]) for s in plant.sensors if s in told},
@@ -102,6 +105,17 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
         useful=useful(plant, sampled.y[own], turn), sample_time=plant.sample_time,
         words=_words(observer) or 'what readings tell at once')
     return _grown(plant, entry, sampled, seen)
+
+
+def _driven(observer: Observer, inputs: Sequence[str], process: np.ndarray,
+            driven: np.ndarray) -> tuple[str, ...]:
+    """Return what each noise of states and inputs does to each z, row by row; () if not known."""
+    texts = []
+    for row, F in zip(observer.slopes, observer.F):
+        of_inputs = [derivative(parse(F), name) for name in inputs]
+        texts += [to_text(times(Number(float(size)), slope)) for size, slope in zip(
+            (*process, *driven), (*map(parse, row), *of_inputs)) if size]
+    return tuple(texts)
 
 
 def _words(observer: Observer) -> str:

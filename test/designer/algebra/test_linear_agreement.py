@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from vsensor_ros.designer.algebra.forced import forced
-from vsensor_ros.designer.algebra.invariant import element_gradients, largest
+from vsensor_ros.designer.algebra.invariant import element_gradients, largest, products
 from vsensor_ros.designer.algebra.model import read
 from vsensor_ros.designer.algebra.null_space import ranks
 from vsensor_ros.designer.algebra.reduction import Inside
-from vsensor_ros.designer.algebra.search import dictionary, image_rank
+from vsensor_ros.designer.algebra.search import image_rank
 from vsensor_ros.designer.subspaces import conditioned_invariant, kernel
 
 from .systems import system
@@ -46,7 +46,7 @@ def compare(count, sizes, degree, discrete, seed, proof=False):
     for A, C, D, V, model in plants(count, sizes, discrete, seed):
         n = len(A)
         assert not discrete or image_rank(model) == n
-        own = dictionary(model, degree, False, False)
+        own = products(model, degree, False, False)
         gamma = largest(model, own)
         T = conditioned_invariant(A, C, D)
         found = ranks(element_gradients(own, gamma, model.points(5, 1)[:n]))

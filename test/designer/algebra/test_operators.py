@@ -8,7 +8,7 @@ import pytest
 
 from vsensor_ros.designer.algebra import Verdict
 from vsensor_ros.designer.algebra.dictionary import Atom, build
-from vsensor_ros.designer.algebra.invariant import free_of_unknown, largest
+from vsensor_ros.designer.algebra.invariant import free_of_unknown, largest, products
 from vsensor_ros.designer.algebra.model import read
 from vsensor_ros.designer.algebra.operators import (
     at_most,
@@ -22,7 +22,7 @@ from vsensor_ros.designer.algebra.operators import (
     Space,
 )
 from vsensor_ros.designer.algebra.reduction import closed, Inside, remainder
-from vsensor_ros.designer.algebra.search import dictionary, find
+from vsensor_ros.designer.algebra.search import find
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import Name, to_text
 
@@ -140,13 +140,39 @@ def test_m_and_M_are_a_galois_pair(discrete):
     assert seen == {Verdict.YES, Verdict.NO}
 
 
+MONOMIALS = ('x1', 'x2', 'x3', 'x1*x2', 'x1*x3', 'x2*x3', 'x1**2', 'x3**2', 'u')
+RATES = st.lists(st.tuples(st.integers(-2, 2).filter(bool), st.sampled_from(MONOMIALS)),
+                 min_size=1, max_size=2, unique_by=lambda term: term[1]).map(
+                     lambda terms: '+'.join(f'({k})*{text}' for k, text in terms))
+WITHIN = st.lists(st.sampled_from([text for text in MONOMIALS if text != 'u'] + ['x1 + x2*x3']),
+                  min_size=1, max_size=2, unique=True)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.tuples(RATES, RATES, RATES), st.booleans(), WITHIN, WITHIN)
+def test_they_are_one_for_any_plant(rates, discrete, a, b):
+    """m(a) <= b where a <= M(b), and where (a, b) is in Delta: b is in the dictionary."""
+    f = [f'x{i} + 0.1*({rate})' for i, rate in enumerate(rates, 1)] if discrete else list(rates)
+    model = read(system(SPACE.states, f, {'y': 'x1'}, {'v': 'x3'}, {'u': (-1, 1)}, {}, (),
+                        0.1 if discrete else None))
+    own = build(model.states, [[Atom(Name(name))] for name in model.states], 2)
+    verdicts = {at_most(SPACE, of(*a), M(model, of(*b))).verdict,
+                at_most(SPACE, m(model, of(*a), own).element, of(*b)).verdict,
+                delta(model, of(*a), of(*b)).verdict}
+    assert not {Verdict.YES, Verdict.NO} <= verdicts, (f, a, b)
+    above = M(model, of(*b))
+    assert yes(delta(model, above, of(*b)))
+    below = m(model, above, own).element  # m M b <= b, and a <= M m a
+    assert at_most(SPACE, below, of(*b)).verdict is not Verdict.NO
+
+
 def told(model, own, span):
     return {f.text for f in Inside(model, own, span).simplest_first(span)} - {'1'}
 
 
 def test_three_tanks_of_the_paper():
     model = read(three_tanks('x3'))
-    own = dictionary(model, 1, False, False)
+    own = products(model, 1, False, False)
     assert told(model, own, free_of_unknown(model, own)) == {'x2', 'x3'}
     assert told(model, own, largest(model, own)) == {'x3'}
     both = read(three_tanks('x1', 'x3'))

@@ -113,14 +113,35 @@ def test_a_function_whose_error_grows_is_refused_with_its_rate():
     assert found.reason.code == 'functions not stable' and found.reason.fact('growth') > 10.0
 
 
-def test_one_that_converges_goes_before_one_that_serves_for_a_time():
-    """Of X*V the error grows and of 1/(X*V) it stays; of (5 - s)/X it dies out."""
-    feed = systems.system(
+def feed(sensors, wanted):
+    """Return a reactor that is fed at an unknown rate."""
+    return systems.system(
         {'s': (0.2, 4.0), 'X': (0.3, 3.0), 'V': (1.0, 5.0)},
         ['F*(5 - s)/V - 0.8*s/(0.6 + s)*X', '-F*X/V + 0.4*s/(0.6 + s)*X', 'F'],
-        {'substrate': 's', 'volume': 'V'}, {'biomass': 'X'}, unknown={'F': (-1.0, 1.0)})
-    found = find(feed).observer
+        {f'{name}_read': name for name in sensors}, {wanted: wanted}, unknown={'F': (-1.0, 1.0)})
+
+
+def test_one_that_converges_goes_before_one_that_serves_for_a_time():
+    """Of X*V the error grows and of 1/(X*V) it stays; of (5 - s)/X it dies out."""
+    found = find(feed('sV', 'X')).observer
     assert found.phi == ('(5 - s)/X',) and found.grade == CERTIFIED
+
+
+def test_that_the_error_of_the_reciprocal_stays_is_no_answer_where_the_own_one_grows():
+    """X*V and 1/(X*V) are of different dictionaries."""
+    found = find(feed('sX', 'V'))
+    assert found.observer is None and found.gamma == ('X*V',)
+    assert found.reason.code == 'functions not stable'
+
+
+def test_one_whose_error_dies_out_goes_before_a_simpler_one_whose_error_may_stay():
+    """Where nothing flows in, nothing draws T to where it is; V*T there is."""
+    tank = systems.system(
+        systems.TANK, ['inflow - 0.5*sqrt(V)', 'inflow*(15 - T)/V + P/V'], {'level': 'V'},
+        {'T': 'T'}, {'P': (0, 10), 'inflow': (0, 2)})
+    found = find(tank).observer
+    assert found.phi == ('V*T',) and found.grade == CERTIFIED
+    assert found.rate == pytest.approx(0.5 / math.sqrt(3.0), rel=0.01)
 
 
 def test_two_values_within_the_ranges_are_not_decided():

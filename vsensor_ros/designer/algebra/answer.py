@@ -84,6 +84,8 @@ class Observer:
     only_coordinates: bool             # a change of coordinates a user could have made
     digits: int                        # to so many F and the decoupling are confirmed
     sample_time: float | None = None
+    # (k, n) dphi/dx over names, sensors and inputs; () where not known, or of no use
+    slopes: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)

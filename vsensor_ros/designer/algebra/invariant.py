@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vsensor_ros.designer.algebra.dictionary import Dictionary
+from vsensor_ros.designer.algebra.dictionary import build, Dictionary, state_atoms
 from vsensor_ros.designer.algebra.model import Model
 from vsensor_ros.designer.algebra.null_space import kernels, null_space
 from vsensor_ros.functions.equations import Equations
@@ -23,6 +23,16 @@ COMBINED = 3  # random combinations of an element's functions that stand for it,
 
 Reads = Equations | None
 Kernels = Callable[[np.ndarray], tuple[np.ndarray, int]]
+
+
+def products(model: Model, degree: int, laurent: bool, curved: bool) -> Dictionary | None:
+    """Return the monomials over the states up to a degree, or None when these are too many."""
+    system = model.system
+    nodes = (*model.f, *model.sensors.values(), *model.wanted.values())
+    return build(model.states, [
+        state_atoms(name, low > 0.0 or high < 0.0, nodes, laurent, curved and low > 0.0,
+                    name in system.angles)
+        for name, (low, high) in system.states.items()], degree)
 
 
 def largest(model: Model, dictionary: Dictionary, reads: Reads = None) -> np.ndarray:

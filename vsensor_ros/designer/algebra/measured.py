@@ -8,21 +8,32 @@ the change of w. The method, 3.6, does so with linear w.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linprog
 
-from vsensor_ros.designer.algebra.coefficients import Function
-from vsensor_ros.designer.algebra.contraction import ErrorSystem
+from vsensor_ros.designer.algebra.answer import CERTIFIED, SAMPLED
+from vsensor_ros.designer.algebra.candidate import (
+    Candidate,
+    completed,
+    exact_of,
+    known_inputs,
+    known_of,
+)
+from vsensor_ros.designer.algebra.coefficients import Function, next_of
+from vsensor_ros.designer.algebra.contraction import ErrorSystem, stability
 from vsensor_ros.designer.algebra.derivative import minus, total
 from vsensor_ros.designer.algebra.dictionary import scaled
+from vsensor_ros.designer.algebra.fit import fitted, plant_atoms
 from vsensor_ros.designer.algebra.invariant import constant_along
 from vsensor_ros.designer.algebra.null_space import kernels
 from vsensor_ros.designer.algebra.reduction import Inside
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import names, Node
 
-MOST_MEASURED = 4
+_MOST = 4
+_LEVELS = ((1, False), (2, False), (2, True), (3, False))  # of what they change by
 _FASTER = 1.2  # than the plant itself moves
 _SAMPLES = 400
 _FEWEST, _FEW = 8, 40  # of them, in matrix inequalities: to see that there is nothing, and all
@@ -31,7 +42,39 @@ _BEYOND = 0.5  # of a range
 _LARGEST = 10.0  # gain: how often the size of z over that of w
 
 
-def measured_functions(inside: Inside) -> list[Function]:
+def with_measured(inside: Inside, candidate: Candidate, error: ErrorSystem) -> Candidate | None:
+    """Return the candidate with functions of measured quantities taken off, if it converges so."""
+    model = inside.model
+    known = known_of(model, candidate.names, candidate.functions)
+    exact = exact_of(candidate.functions)
+    own = [*known, *known_inputs(model)]
+    measured, sides = [], []
+    for w in _measured_functions(inside):
+        side = fitted(model, next_of(model, w.node), [*own, *plant_atoms(model, own)], exact,
+                      _LEVELS)
+        if side is not None and set(names(side.node)) & set(candidate.names):
+            measured.append(w)
+            sides.append(side.node)
+        if len(measured) == _MOST:
+            break
+    if not measured:
+        return None
+    K = _gain(error, measured, sides)
+    if K is None or not _helps(error, sides, K):
+        return None
+    functions = [_taken_off(f, row, measured) for f, row in zip(candidate.functions, K)]
+    found = completed(model, functions, None)
+    return found if isinstance(found, Candidate) else None
+
+
+def _helps(error: ErrorSystem, sides: Sequence[Node], K: np.ndarray) -> bool:
+    """Tell whether the error dies out where K was not looked for, too: dF/dz - K dW/dz tells."""
+    off = [total([scaled(float(own), side) for own, side in zip(row, sides) if own]) for row in K]
+    F = tuple(map(minus, error.F, off))
+    return stability(replace(error, F=F)).grade in (CERTIFIED, SAMPLED)
+
+
+def _measured_functions(inside: Inside) -> list[Function]:
     """Return functions of gamma* that the healthy sensors tell alone, the simplest first."""
     model = inside.model
     if not model.sensors:
@@ -43,7 +86,7 @@ def measured_functions(inside: Inside) -> list[Function]:
     return [f for f in inside.simplest_first(span) if names(f.node)]
 
 
-def gain(error: ErrorSystem, measured: Sequence[Function],
+def _gain(error: ErrorSystem, measured: Sequence[Function],
          sides: Sequence[Node]) -> np.ndarray | None:
     """
     Return K (k, w) with which the error contracts at sampled points, as small as may be; or None.
@@ -73,7 +116,7 @@ def gain(error: ErrorSystem, measured: Sequence[Function],
     return found if small else None
 
 
-def taken_off(f: Function, K: np.ndarray, measured: Sequence[Function]) -> Function:
+def _taken_off(f: Function, K: np.ndarray, measured: Sequence[Function]) -> Function:
     """Return f - K w."""
     off = total([scaled(float(own), w.node) for own, w in zip(K, measured) if own])
     more = {x: ball for w in (f, *measured) for x, ball in w.exact.items()}
@@ -109,22 +152,24 @@ def _by_lmi(A: np.ndarray, C: np.ndarray, size: np.ndarray, discrete: bool,
     scaled_A, scaled_C = np.linalg.inv(S) @ A @ S, C @ S
     unit = np.abs(scaled_C).max(axis=(0, 2))
     scaled_C = scaled_C / unit[:, None]
+    P, Y = cp.Variable((k, k), symmetric=True), cp.Variable((k, w))
+    rate = cp.Parameter(nonneg=True)
     best = None
-    for share, few in ((0.03, _FEWEST), (0.03, _FEW), (0.3, _FEW), (1.0, _FEW)):
-        P = cp.Variable((k, k), symmetric=True)
-        Y = cp.Variable((k, w))
+    for few, shares in ((_FEWEST, (0.03,)), (_FEW, (0.03, 0.3, 1.0))):
         constraints = [P >> np.eye(k), P << 100.0 * np.eye(k)]
         for a, c in zip(scaled_A[:few], scaled_C[:few]):
             own = P @ a - Y @ c
-            constraints.append(own + own.T + 2.0 * share * typical * P << 0)
+            constraints.append(own + own.T + 2.0 * rate * P << 0)
         problem = cp.Problem(cp.Minimize(cp.norm(Y, 'fro')), constraints)
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError:
-            break
-        if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
-            break
-        best = _rounded(S @ np.linalg.solve(P.value, Y.value) / unit)
+        for share in shares:
+            rate.value = share * typical
+            try:
+                problem.solve(solver=cp.CLARABEL)
+            except cp.SolverError:
+                return best
+            if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+                return best
+            best = _rounded(S @ np.linalg.solve(P.value, Y.value) / unit)
     return best
 
 

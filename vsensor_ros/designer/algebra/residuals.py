@@ -7,6 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from vsensor_ros.designer.algebra import digits
+from vsensor_ros.designer.algebra.candidate import (
+    Candidate,
+    exact_of,
+    known_inputs,
+    known_of,
+    names_of_z,
+)
 from vsensor_ros.designer.algebra.coefficients import Function, next_of, plain_combination
 from vsensor_ros.designer.algebra.fit import (
     Fitted,
@@ -27,7 +34,24 @@ _SINGULAR = frozenset(('/', 'sqrt', 'log', '**', 'tan', 'asin'))
 MOST_EXTRA = 3
 
 
-def relations(model: Model, known: Sequence[Known], z: Sequence[str],
+def with_residuals(inside: Inside, candidate: Candidate) -> tuple[Candidate, tuple[Node, ...]]:
+    """Return a candidate with functions that are tied to readings, and what is 0 in truth."""
+    model = inside.model
+    exact = exact_of(candidate.functions)
+    known = known_of(model, candidate.names, candidate.functions)
+    own = [*known, *known_inputs(model)]
+    more = _tied(inside, candidate.functions, own, exact)
+    if more:
+        functions = (*candidate.functions, *(f for f, _ in more))
+        z = names_of_z(model, len(functions))
+        candidate = Candidate(model, z, functions, (*candidate.F, *(side for _, side in more)),
+                              candidate.told, None)
+        known = known_of(model, z, functions)
+    return candidate, tuple(_relations(model, known, candidate.names, exact_of(
+        candidate.functions)))
+
+
+def _relations(model: Model, known: Sequence[Known], z: Sequence[str],
               exact: digits.Exact) -> list[Node]:
     """Return expressions that are 0 in truth and independent in z, over z and sensors."""
     dictionary = over_known(model, known, _DEGREE, False)
@@ -56,7 +80,7 @@ def relations(model: Model, known: Sequence[Known], z: Sequence[str],
     return [substitute(node, text) for node in result]
 
 
-def tied(inside: Inside, chosen: Sequence[Function], known: Sequence[Known],
+def _tied(inside: Inside, chosen: Sequence[Function], known: Sequence[Known],
          exact: digits.Exact) -> list[tuple[Function, Fitted]]:
     """
     Return more functions of gamma* that z and the healthy sensors tell, with their changes.

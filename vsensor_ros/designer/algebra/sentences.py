@@ -7,7 +7,8 @@ from vsensor_ros.reason import add_sentences
 
 def _many_valued(wanted: str, one: str, other: str) -> str:
     return (f'{wanted} has two values for the same readings within the declared ranges, as at '
-            f'{one} and at {other}: narrow a range to where one of them cannot be')
+            f'{one} and at {other}: narrow a range to where one of them cannot be; which of '
+            'the two it is from what it was, nobody follows')
 
 
 add_sentences({

@@ -27,6 +27,7 @@ SMALL, TERMS = 0.2, 10  # slopes whose series of so many terms is exact but for 
 STALE = 1.5  # times what is between readings, or steps: then a reading is one no more
 OFF = 2.0  # standard deviations: so far off it is looked at what would be said there
 BLIND = 1e99  # the deviation where nothing is known
+BENT = 1e-2  # of a variance: what slopes may not say of it
 FAINTEST = 1e-12  # of a variance: what is less is lost in its digits
 _BENDING = ('/', 'sqrt', 'log', '**', 'tan', 'asin')  # what may have no finite slope
 
@@ -47,6 +48,7 @@ class Motion:
         def compiled(texts: Sequence[str]) -> Equations:
             return Equations([parse(text) for text in texts], known)
         self._F, self._out = compiled(entry.F), compiled([entry.out])
+        self._driven = compiled(entry.driven)
         self._validity = compiled([c.positive for c in entry.validity])
         # nothing but what is proved may change one that converges
         kept = entry.residuals if entry.grade == 'temporary' else ()
@@ -142,6 +144,9 @@ class Motion:
         slopes = slopes.transpose(2, 0, 1)
         by = slopes[:, :, self.k:self.k + self._L]
         W = (by * self._push) @ by.transpose(0, 2, 1) + np.diag(self._entry.process_noise**2)
+        if self._entry.driven:
+            G = self._driven.values(self._at(x, v)).T.reshape(len(x), self.k, -1)
+            W = W + G @ G.transpose(0, 2, 1)
         return f.T, slopes[:, :, :self.k], (slopes[:, :, self.k:] @ rate[..., None])[..., 0], \
             W, by
 
@@ -171,8 +176,11 @@ class Motion:
         slopes = slopes.transpose(2, 0, 1)
         H, G = slopes[:, :, :k], slopes[:, :, k:k + self._L]
         meter = (G * self._meter) @ G.transpose(0, 2, 1)
+        one = np.eye(meter.shape[1])
+        if k > 1:  # a circle tells less of where P is along it than its slopes say
+            sizes = (np.abs(H) @ np.sqrt(np.abs(np.diagonal(P, axis1=1, axis2=2)))[:, :, None])**2
+            meter = meter + BENT * one * (sizes + np.diagonal(meter, axis1=1, axis2=2)[:, :, None])
         S = H @ P @ H.transpose(0, 2, 1) + meter
-        one = np.eye(S.shape[1])
         S = S + FAINTEST * np.trace(S, axis1=1, axis2=2)[:, None, None] * one
         known = np.isfinite(S).all(axis=(1, 2)) & (np.trace(S, axis1=1, axis2=2) > 0.0)
         S = np.where(known[:, None, None], S, one)

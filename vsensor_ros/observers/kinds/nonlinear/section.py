@@ -14,7 +14,7 @@ from vsensor_ros.observers.kinds.nonlinear.sensor import Condition, names_in, No
 
 _MOST = 32  # states, and expressions of each sort
 _BY_SENSOR = ('noise_of', 'lasts', 'direct', 'pushes')
-_TEXTS = ('phi', 'F', 'residuals', 'tracks')
+_TEXTS = ('phi', 'F', 'residuals', 'tracks', 'driven')
 _NUMBERS = ('turn', 'decay', 'warm_up', 'followed', 'useful')
 _WORDS = ('words', 'why')
 
@@ -50,10 +50,12 @@ def read_section(reader: CheckedObject, channel: str, fault_set: tuple[str, ...]
     for key in ('phi', 'F'):
         if len(texts[key]) != len(z):
             raise reader.fail(key, f'are not {len(z)}, one a state')
+    if len(texts['driven']) % max(len(z), 1):
+        raise reader.fail('driven', f'are not as many for each of {len(z)} states')
     for key, names in (('phi', plant.states), ('F', known), ('residuals', known),
-                       ('tracks', (*known, *fault_set))):
-        if len(texts[key]) > _MOST:
-            raise reader.fail(key, f'are more than {_MOST}')
+                       ('tracks', (*known, *fault_set)), ('driven', known)):
+        if len(texts[key]) > (most := _MOST * (len(z) if key == 'driven' else 1)):
+            raise reader.fail(key, f'are more than {most}')
         _check(reader, key, texts[key], names)
     out, conditions = reader.text('out'), reader.objects('validity')
     _check(reader, 'out', [out], known)

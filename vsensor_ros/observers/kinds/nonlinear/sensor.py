@@ -43,12 +43,14 @@ class NonlinearSensor:
     out: str
     residuals: tuple[str, ...]  # 0 in truth, of healthy sensors
     tracks: tuple[str, ...]  # 0 in truth, of the channels, too
+    # k times as many as noises: what each does to each state, per sqrt(s); () where not known
+    driven: tuple[str, ...]
     validity: tuple[Condition, ...]
     turn: float  # what the channel turns by where it goes round; 0: it does not
     region: Mapping[str, tuple[float, float]]  # by name of z, sensor, input
     initial: np.ndarray  # (k,)
     start: np.ndarray  # (k, k) covariance of the error with it
-    process_noise: np.ndarray  # (k,) standard deviation per sqrt(s), or per step
+    process_noise: np.ndarray  # (k,) standard deviation per sqrt(s), or per step, besides
     noise_of: Mapping[str, float]  # standard deviation of one reading, by sensor
     lasts: Mapping[str, float]  # s between two readings, by sensor; 0: each step has one
     decay: float  # 1/s, of an error; 0: it stays
@@ -84,7 +86,7 @@ class NonlinearSensor:
     @property
     def commands(self) -> tuple[str, ...]:
         """Names of the inputs in its expressions."""
-        used = names_in((*self.F, self.out, *self.residuals, *self.tracks,
+        used = names_in((*self.F, self.out, *self.residuals, *self.tracks, *self.driven,
                          *(c.positive for c in self.validity)))
         return tuple(name for name in self.inputs if name in used)
 
