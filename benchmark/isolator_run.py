@@ -157,11 +157,14 @@ class Fleet:
         self.direct = direct.reshape(self.count, c)
         running = self.watch.detector.filled.reshape(self.count, r) > 16
         now = self.ticks * PERIOD
+        stepped = channels.stepped().reshape(self.count, c) if self.alarms.any() else \
+            np.zeros((self.count, c), dtype=bool)
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
             excusable = diagnosis.excusable()
             diagnosis.update(now, self.alarms[m], running[m],
-                             [1 << int(j) for j in np.flatnonzero(self.direct[m])])
+                             [1 << int(j) for j in np.flatnonzero(self.direct[m])],
+                             [1 << int(j) for j in np.flatnonzero(stepped[m])])
             if not diagnosis.stands and self.watch.detector.full(
                     m * len(self.checks) + excusable):
                 self._admit(m, excusable)

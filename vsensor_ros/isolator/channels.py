@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
+from vsensor_ros.isolator.steps import largest_step, least_step
 
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
@@ -25,6 +26,7 @@ ROUGHEST = 1.5  # times the roughest windows that the healthy machine showed
 QUIET = 1.3
 CAP = 3.0  # times the healthy roughness is what one bend counts as at most, so spikes are few
 BLOCK = 128  # samples
+ENOUGH = 300.0  # s before which it is not known how far healthy readings step
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
 AFTER = 5.0  # s after a spike in which a channel counts as spiking
@@ -58,11 +60,13 @@ class Channels:
     _cap: Floats
     _roughest: Floats
     _spike: Floats
+    _step: Floats
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
         # of readings above, and below; and of the roughness of a window
         self.motion = BlockMaxima(3, count)
+        self.steps = BlockMaxima(1, count)
         self.repeats, self.again, self.pairs, self.longest, self.longest_gap, self.samples = (
             np.zeros(count, dtype=np.int64) for _ in range(6))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
@@ -72,8 +76,8 @@ class Channels:
         # many, what is too rough and what is a spike
         self._usual = np.full((3, count), -np.inf)
         self._reach = np.full((2, count), np.nan)
-        self._needed, self._cap, self._roughest, self._spike = (
-            np.full(count, np.inf) for _ in range(4))
+        self._needed, self._cap, self._roughest, self._spike, self._step = (
+            np.full(count, np.inf) for _ in range(5))
         self._count = 0  # batches
         self.spiked = False  # whether any did in the last batch
         self._fades = np.exp(-batch * period / PEAK)
@@ -93,6 +97,7 @@ class Channels:
         self._bent = np.full((ROUGH // self.batch, count), np.nan)  # their sums, by batch
         self._beyond = np.zeros(count)
         self._looked = self._count  # batches up to which that was drawn from the medians
+        self._middle[:] = np.nan
         # batches that were the last that was not learnt, and the last with a spike
         self._broken = np.full(count, self._count, dtype=np.int64)
         self._spiked = np.full(count, self._count - FAR, dtype=np.int64)
@@ -194,6 +199,8 @@ class Channels:
         extremes = np.stack([np.fmax.reduce(self._middle), -np.fmin.reduce(self._middle)])
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
+        stepped = largest_step(self._middle)
+        self.steps.add(0, stepped, known & np.isfinite(stepped))
         before = self.motion.count.copy()
         for row in (0, 1):
             self.motion.add(row, extremes[row], known)
@@ -236,6 +243,7 @@ class Channels:
                                                     ROUGHEST * roughest), np.inf)
         least = 0.02 * (self.range[1] - self.range[0])
         self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
+        self._step = least_step(self.steps, BLOCK * self.period, ENOUGH)
 
     def stuck(self, estimates: Floats) -> Bools:
         """Tell which repeat their value for too long, by their habit or beside estimates (c,)."""
@@ -257,6 +265,12 @@ class Channels:
     def spiking(self) -> Bools:
         """Tell which had a spike just now."""
         return (self._count - self._spiked) * self.batch * self.period < AFTER
+
+    def stepped(self) -> Bools:
+        """Tell which jumped within the last block, further than healthy ones do (c,)."""
+        end = (self._count - 1) % (BLOCK // self.batch) + 1
+        recent = np.roll(self._middle, -end * self.batch, axis=0)
+        return largest_step(recent) > self._step
 
     def dropped(self) -> Bools:
         """Tell which have said nothing for too long."""
