@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,14 +158,13 @@ class Fleet:
         self.direct = direct.reshape(self.count, c)
         running = self.watch.detector.filled.reshape(self.count, r) > 16
         now = self.ticks * PERIOD
-        stepped = channels.stepped().reshape(self.count, c) if self.alarms.any() else \
-            np.zeros((self.count, c), dtype=bool)
+        whose = cache(lambda: channels.stepped().reshape(self.count, c))
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
             excusable = diagnosis.excusable()
             diagnosis.update(now, self.alarms[m], running[m],
                              [1 << int(j) for j in np.flatnonzero(self.direct[m])],
-                             [1 << int(j) for j in np.flatnonzero(stepped[m])])
+                             lambda m=m: [1 << int(j) for j in np.flatnonzero(whose()[m])])
             if not diagnosis.stands and self.watch.detector.full(
                     m * len(self.checks) + excusable):
                 self._admit(m, excusable)

@@ -143,11 +143,11 @@ class Detector:
         largest = self._largest[:due]
         np.maximum(largest, shown, out=largest)
         self._streak += self.batch
-        if learn is True:
-            self.learnt += self.batch
-        else:
+        if learn is not True:
             self._streak *= learn
-            self.learnt += self.batch * np.asarray(learn)
+        # nothing is learnt of less than a block; of one that is whole, all
+        whole = np.minimum(self._streak, self.filled)
+        self.learnt += np.where(whole == BLOCKS[0], BLOCKS[0], self.batch * (whole > BLOCKS[0]))
         if self._count % self._blocks[0] == 0:
             for w, block in enumerate(self._blocks):
                 if self._count % block == 0:

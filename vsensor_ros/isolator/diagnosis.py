@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from operator import and_, or_
 
@@ -44,11 +44,12 @@ class Diagnosis:
         return bool(self.conflicts or self.direct)
 
     def update(self, time: float, alarms: Bools, running: Bools,
-               direct: Iterable[int] = (), stepped: Iterable[int] = ()) -> None:
+               direct: Iterable[int] = (),
+               stepped: Callable[[], Iterable[int]] = tuple) -> None:
         """
         Take who alarms and who runs at all (checks,), and whose readings show a fault.
 
-        stepped: sensors whose readings jumped just now, which only counts beside an alarm.
+        stepped: returns whose readings jumped just now; asked only when a check begins to alarm.
         """
         new = False
         for check in np.flatnonzero(alarms):
@@ -65,11 +66,11 @@ class Diagnosis:
             self.conflicts.clear()
             self._judge(time, running)
 
-    def _hastened(self, time: float, stepped: Iterable[int]) -> list[int]:
+    def _hastened(self, time: float, stepped: Callable[[], Iterable[int]]) -> list[int]:
         """Return who stepped as a check began to alarm that reads it, and can be told apart."""
         begun = [self.supports[check] for check, since in self.conflicts.items()
                  if time - since <= JUST]
-        who = [sensor for sensor in stepped if sensor & self._apart]
+        who = [sensor for sensor in stepped() if sensor & self._apart] if begun else []
         return who if len(who) == 1 and any(who[0] & support for support in begun) else []
 
     def _judge(self, time: float, running: Bools) -> None:
