@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
-from vsensor_ros.isolator.steps import largest_step, least_step
+from vsensor_ros.isolator.steps import largest_step, least_step, STRIDE
 
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
@@ -199,7 +199,7 @@ class Channels:
         extremes = np.stack([np.fmax.reduce(self._middle), -np.fmin.reduce(self._middle)])
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
-        stepped = largest_step(self._middle)
+        stepped = largest_step(self._middle, STRIDE)
         self.steps.add(0, stepped, known & np.isfinite(stepped))
         before = self.motion.count.copy()
         for row in (0, 1):

@@ -13,8 +13,8 @@ import numpy as np
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats, thresholds
 
 BEFORE, AFTER, DEGREE = 24, 8, 3  # samples, samples, of the polynomial
-STRIDE = 4  # samples between two places that are looked at
-RARE = 86400.0  # s in which a healthy channel seems to step once
+STRIDE = 4  # places, of which one is learnt from: a step stands out at its own place only
+RARE = STRIDE * 86400.0  # s in which a healthy channel seems to step once, at the places learnt
 
 
 def _fit() -> Floats:
@@ -27,10 +27,14 @@ def _fit() -> Floats:
 WEIGHTS = _fit()
 
 
-def largest_step(samples: Floats) -> Floats:
-    """Return the largest step of each channel (c,) in its samples (k, c); NaN: not known."""
+def largest_step(samples: Floats, stride: int = 1) -> Floats:
+    """
+    Return the largest step of each channel (c,) in its samples (k, c); NaN: not known.
+
+    stride: places from one that is looked at to the next.
+    """
     windows = np.lib.stride_tricks.sliding_window_view(samples, len(WEIGHTS), axis=0)
-    return np.fmax.reduce(np.abs(windows[::-STRIDE] @ WEIGHTS))
+    return np.fmax.reduce(np.abs(windows[::-stride] @ WEIGHTS))
 
 
 def least_step(record: BlockMaxima, block: float, enough: float) -> Floats:
