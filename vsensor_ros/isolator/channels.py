@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
+from vsensor_ros.isolator.detector import ENOUGH
 from vsensor_ros.isolator.steps import largest_step, least_step, STRIDE
 
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
@@ -26,7 +27,6 @@ ROUGHEST = 1.5  # times the roughest windows that the healthy machine showed
 QUIET = 1.3
 CAP = 3.0  # times the healthy roughness is what one bend counts as at most, so spikes are few
 BLOCK = 128  # samples
-ENOUGH = 300.0  # s before which it is not known how far healthy readings step
 PEAK = 20.0  # s in which a peak of motion is forgotten to 1/e
 SPIKE = 10.0  # times the usual distance from the median of three
 AFTER = 5.0  # s after a spike in which a channel counts as spiking

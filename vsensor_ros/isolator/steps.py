@@ -1,8 +1,8 @@
 """
 Steps: how far readings jump off the smooth course that they were on.
 
-What a sensor measures moves smoothly; a fault need not. So a step tells *who*, at the moment when a
-residual tells *that*. A cubic is fitted to 32 samples, and with it a step before the last eight.
+What a sensor measures moves smoothly; a fault need not. So a step tells *who*, at the moment when
+a residual tells *that*. A cubic is fitted to 32 samples, and with it a step before the last eight.
 What of motion the cubic does not follow is learnt, as all else is, from the healthy machine.
 """
 
