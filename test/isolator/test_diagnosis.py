@@ -103,6 +103,8 @@ def test_who_steps_as_a_check_begins_to_alarm_is_blamed_if_the_checks_would_tell
     assert not tell(late, 1.5 + JUST, 0, stepped=[A]).found
     seen = tell(Diagnosis(SUPPORTS), 1.0, 0)  # some samples behind the step
     assert tell(seen, 1.1, 0, stepped=[A]).found == {A: 1.1}
+    # what has a reason already tells of nobody else
+    assert tell(seen, 1.2, 0, 2, stepped=[C]).found == {A: 1.1}
 
 
 def test_a_step_while_another_drifts_is_no_error_of_the_model():

@@ -15,7 +15,7 @@ from vsensor_ros.isolator.detector import Bools
 AT_ONCE = 5.0  # s within which all alarms together mean the model, and no sensor
 ANEW = 300.0  # s after a verdict of the model has ended, in which alarms are the model's, too,
 PASSES = 10.0  # unless they last longer than so many s
-JUST = 1.0  # s in which a step belongs to a conflict that begins
+JUST = 1.0  # s in which a step belongs to a conflict that began, and that nobody explains yet
 FORGOTTEN = 10.0  # s without an alarm, after which conflicts that blamed nobody are over
 
 
@@ -49,7 +49,7 @@ class Diagnosis:
         """
         Take who alarms and who runs at all (checks,), and whose readings show a fault.
 
-        stepped: returns whose readings jumped just now; asked only when a check begins to alarm.
+        stepped: returns whose readings jumped just now; asked when a check begins to alarm.
         """
         new = False
         for check in np.flatnonzero(alarms):
@@ -67,9 +67,10 @@ class Diagnosis:
             self._judge(time, running)
 
     def _hastened(self, time: float, stepped: Callable[[], Iterable[int]]) -> list[int]:
-        """Return who stepped as a check began to alarm that reads it, and can be told apart."""
+        """Return who stepped as a check that reads it began to alarm, and can be told apart."""
+        known = sum(self.found.keys() | self.direct.keys())
         begun = [self.supports[check] for check, since in self.conflicts.items()
-                 if time - since <= JUST]
+                 if time - since <= JUST and not self.supports[check] & known]
         who = [sensor for sensor in stepped() if sensor & self._apart] if begun else []
         return who if len(who) == 1 and any(who[0] & support for support in begun) else []
 
