@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.isolator_peer import Peer
 from benchmark.isolator_plants import bank_of, Case, Floats, Machines, Observers, PERIOD
-from vsensor_ros.isolator.detector import TESTS
+from vsensor_ros.isolator.detector import Bools, TESTS
 from vsensor_ros.isolator.diagnosis import Diagnosis
 from vsensor_ros.isolator.recovery import Recovery
 from vsensor_ros.isolator.watch import Watch
@@ -157,15 +159,20 @@ class Fleet:
         self.direct = direct.reshape(self.count, c)
         running = self.watch.detector.filled.reshape(self.count, r) > 16
         now = self.ticks * PERIOD
+        stepped = cache(channels.stepped)
         for m in self.busy | set(np.flatnonzero(self.alarms.any(1) | self.direct.any(1))):
             diagnosis = self.diagnoses[m]
             excusable = diagnosis.excusable()
             diagnosis.update(now, self.alarms[m], running[m],
-                             [1 << int(j) for j in np.flatnonzero(self.direct[m])])
+                             [1 << int(j) for j in np.flatnonzero(self.direct[m])],
+                             partial(self._stepped, m, stepped))
             if not diagnosis.stands and self.watch.detector.full(
                     m * len(self.checks) + excusable):
                 self._admit(m, excusable)
             (self.busy.add if diagnosis.stands else self.busy.discard)(m)
+
+    def _stepped(self, machine: int, stepped: Callable[[], Bools]) -> list[int]:
+        return [1 << int(j) for j in np.flatnonzero(stepped().reshape(self.count, -1)[machine])]
 
     def _admit(self, machine: int, checks: NDArray[np.int64]) -> None:
         if checks.size:

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from vsensor_ros.isolator.detector import Detector, ENOUGH, SPAN, WINDOWS
+from vsensor_ros.isolator.detector import BLOCKS, Detector, ENOUGH, SPAN, WINDOWS
 
 PERIOD = 0.01
 
@@ -109,3 +109,15 @@ def test_the_past_is_given_oldest_first_and_from_the_last_start_on():
     running.restart(np.array([0]))
     feed(running, np.full((8, 1), 7.0))
     assert running.past(0, 100).tolist() == [38.0, 7.0, 7.0, 7.0, 7.0, 7.0, 7.0, 7.0]
+
+
+def test_what_says_nothing_or_too_little_for_a_block_is_not_learnt_from():
+    running = detector(4, n=4)
+    samples = np.zeros((2 * BLOCKS[0], 4))
+    samples[:, 1] = np.nan
+    samples[::BLOCKS[0] // 2, 2] = np.nan
+    samples[:BLOCKS[0], 3] = np.nan
+    feed(running, samples)
+    assert running.learnt.tolist() == [2 * BLOCKS[0], 0, 0, BLOCKS[0]]
+    feed(running, np.zeros((8, 4)), learn=np.array([True, True, True, False]))
+    assert running.learnt.tolist() == [2 * BLOCKS[0] + 8, 0, 0, BLOCKS[0]]

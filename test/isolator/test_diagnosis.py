@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vsensor_ros.isolator.diagnosis import ANEW, AT_ONCE, Diagnosis, FORGOTTEN
+from vsensor_ros.isolator.diagnosis import ANEW, AT_ONCE, Diagnosis, FORGOTTEN, JUST
 from vsensor_ros.isolator.recovery import Recovery
 
 A, B, C, D = 1, 2, 4, 8
@@ -10,10 +10,10 @@ SUPPORTS = (A | B, B | C, C | A, C | D)
 ALL = np.ones(4, dtype=bool)
 
 
-def tell(diagnosis, time, *checks, direct=()):
+def tell(diagnosis, time, *checks, direct=(), stepped=()):
     alarms = np.zeros(4, dtype=bool)
     alarms[list(checks)] = True
-    diagnosis.update(time, alarms, ALL, direct)
+    diagnosis.update(time, alarms, ALL, direct, lambda: stepped)
     return diagnosis
 
 
@@ -90,3 +90,27 @@ def test_what_blamed_the_model_blames_no_sensor_for_a_while_when_that_is_over():
 def test_a_blamed_sensor_excuses_nothing():
     diagnosis = tell(Diagnosis(SUPPORTS), 1.0, 0, 2)
     assert set(diagnosis.found) == {A} and not diagnosis.excusable().size
+
+
+def test_who_steps_as_a_check_begins_to_alarm_is_blamed_if_the_checks_would_tell_it():
+    assert tell(Diagnosis(SUPPORTS), 1.0, 0, stepped=[A]).found == {A: 1.0}
+    for stepped in ([], [C], [A, B]):  # none, one that it does not read, and two
+        assert tell(Diagnosis(SUPPORTS), 1.0, 0, stepped=stepped).candidates == (A, B)
+    # whatever has D in it has C in it, too: no residual ever tells D
+    assert tell(Diagnosis(SUPPORTS), 1.0, 3, stepped=[D]).candidates == (C, D)
+    assert tell(Diagnosis(SUPPORTS), 1.0, stepped=[A]).stands is False
+    late = tell(Diagnosis(SUPPORTS), 1.0, 0)
+    assert not tell(late, 1.5 + JUST, 0, stepped=[A]).found
+    seen = tell(Diagnosis(SUPPORTS), 1.0, 0)  # some samples behind the step
+    assert tell(seen, 1.1, 0, stepped=[A]).found == {A: 1.1}
+    # what has a reason already tells of nobody else
+    assert tell(seen, 1.2, 0, 2, stepped=[C]).found == {A: 1.1}
+
+
+def test_a_step_while_another_drifts_is_no_error_of_the_model():
+    both = (A, B, A | B)
+    for stepped, found in (([], {}), ([B], {A: 2.0, B: 2.0})):
+        diagnosis = Diagnosis(both)
+        diagnosis.update(2.0, np.ones(3, dtype=bool), np.ones(3, dtype=bool), (),
+                         lambda stepped=stepped: stepped)
+        assert diagnosis.found == found and diagnosis.model is not bool(stepped)

@@ -25,6 +25,8 @@ def test_a_new_isolator_goes_on_from_what_was_learnt(machine, path):
     ours, theirs = new.isolator.watch.detector, machine.isolator.watch.detector
     assert ours.thresholds == pytest.approx(theirs.thresholds, rel=1e-4)
     assert (ours.learnt == theirs.learnt).all()
+    stepped = [one.isolator.watch.channels._step for one in (new, machine)]
+    assert stepped[0] == pytest.approx(stepped[1], rel=1e-4) and np.isfinite(stepped[0]).all()
     assert new.run(20.0).notes == ()  # it need not learn first
     assert (ours.learnt > theirs.learnt).all()  # but does
     verdict = new.run(10.0, of('a', lambda reading, time, random: reading + 0.2))
@@ -44,8 +46,8 @@ def test_what_alarms_and_motion_have_taught_comes_back_too(machine, tmp_path):
     assert (watch.motion.range > 0.5).all()
 
 
-def test_a_record_of_before_there_was_motion_still_loads(path):
-    forged(path, lambda r: [r.pop('swings'), r.pop('taught')])
+def test_a_record_of_before_there_were_motion_and_steps_still_loads(path):
+    forged(path, lambda r: [r.pop('swings'), r.pop('taught'), r.pop('steps')])
     new = Machine(seed=5)
     load(new.isolator, path, DESIGN)
     assert new.run(20.0).notes == ()

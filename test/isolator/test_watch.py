@@ -18,7 +18,7 @@ def watch(own=(0, 1, 2, -1)):
                   np.full(4, 0.01), np.array([0, 1, 2]), 1e-7, 0.1)
     found.gains[3, :2] = found.gain[3] = 1.0
     found._single = None
-    found.detector.learnt[:] = round(ENOUGH / PERIOD)
+    found.detector.learnt = np.full(4, round(ENOUGH / PERIOD))
     found.motion._used[:] = 1.0  # swings from -1 to 1
     return found
 

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vsensor_ros.isolator.block_maxima import BlockMaxima, Floats
+from vsensor_ros.isolator.detector import ENOUGH
 from vsensor_ros.isolator.runs import Counts, follow, Runs
+from vsensor_ros.isolator.steps import largest_step, least_step, STRIDE
 
 CHANCE = 1e-9  # of a healthy channel to repeat its value as often as a stuck one
 OFTEN = 0.3  # above this share of repeats, repeats alone say nothing
@@ -57,11 +59,14 @@ class Channels:
     _spike: Floats
     _jolt: Floats
     _fresh: Floats
+    _step: Floats
+    _middle: Floats
 
     def __init__(self, period: float, batch: int, count: int) -> None:
         self.period, self.batch = period, batch
         # of readings above, and below; and of the roughness of a window
         self.motion = BlockMaxima(3, count)
+        self.steps = BlockMaxima(1, count)
         self.repeats, self.again, self.pairs, self.longest, self.longest_gap, self.samples = (
             np.zeros(count, dtype=np.int64) for _ in range(6))
         self.travel, self.roughness, self.usual_spike = (np.zeros(count) for _ in range(3))
@@ -73,6 +78,7 @@ class Channels:
         self._reach = np.full((2, count), np.nan)
         self._needed, self._cap, self._roughest, self._loud, self._spike, self._jolt = (
             np.full(count, np.inf) for _ in range(6))
+        self._step = np.full(count, np.inf)  # above that it is none of a healthy channel
         # repeats before which none is stuck, and before which no channel is
         self._soonest, self._earliest = np.ones(count), 1.0
         self._count = self._settled = 0  # batches, and those whose repeats and gaps were counted
@@ -96,6 +102,7 @@ class Channels:
         # the last sample before which a value surely was no repeat
         self._fresh = np.full(count, float(self._count * self.batch))
         self._raw[:] = self._estimates[:] = np.nan
+        self._middle = np.full((BLOCK, count), np.nan)  # medians of three of the block before
         self._window = np.full((ROUGH // self.batch, self.batch, count), np.nan)  # bends
         self._bent = np.full((ROUGH // self.batch, count), np.nan)  # their sums, by batch
         self._beyond = np.zeros(count)
@@ -247,7 +254,7 @@ class Channels:
 
     def _end_block(self) -> None:
         self.settle()
-        middle = _medians(self._raw[:, 0])
+        middle = self._middle = _medians(self._raw[:, 0])
         apart = np.abs(self._raw[1:-1, 0] - middle)
         extremes = np.stack([np.fmax.reduce(middle), -np.fmin.reduce(middle)])
         if self._looked < self._count:
@@ -256,6 +263,8 @@ class Channels:
             self._looked = self._count
         known = (self._count - self._broken >= BLOCK // self.batch) \
             & np.isfinite(extremes).all(axis=0)
+        stepped = largest_step(middle, STRIDE)
+        self.steps.add(slice(0, 1), stepped[None], known & np.isfinite(stepped))
         before = self.motion.count.copy()
         self.motion.add(slice(0, 2), extremes, known)
         bent = self._of_block(np.minimum(self._bends, self._cap))  # a jump is no roughness
@@ -300,6 +309,7 @@ class Channels:
         least = 0.02 * (self.range[1] - self.range[0])
         self._spike = np.where(known, np.fmax(SPIKE * self.usual_spike, least), np.inf)
         self._jolt = 1.9 * self._spike
+        self._step = least_step(self.steps, BLOCK * self.period, ENOUGH)
 
     def stuck(self, estimates: Floats) -> Bools:
         """Tell which repeat their value for too long, by their habit or beside estimates (c,)."""
@@ -323,6 +333,12 @@ class Channels:
     def spiking(self) -> Bools:
         """Tell which had a spike just now."""
         return (self._count - self._spiked) * self.batch * self.period < AFTER
+
+    def stepped(self) -> Bools:
+        """Tell which jumped within the last block, further than healthy ones do (c,)."""
+        end = self._end()
+        recent = np.concatenate([self._middle[end:], _medians(self._raw[:end + 2, 0])])
+        return largest_step(recent) > self._step
 
     def dropped(self) -> Bools:
         """Tell which have said nothing for too long."""

@@ -55,8 +55,8 @@ class Detector:
         self._blocks = [block // batch for block in BLOCKS]
         self._full = length[:, None] * batch + 2  # samples; and 2: the median needs them
         self._enough = (5 * self._full[:, 0]).tolist()  # for all tests of so many windows
-        self._learnt = np.zeros(n, dtype=np.int64)  # samples
-        self._owed = 0  # to all of that
+        # samples, but of the run that goes on
+        self._learnt: NDArray[np.int64] = np.zeros(n, dtype=np.int64)
         # rows: level above, level below, contrast above, contrast below; each by window
         self.maxima = BlockMaxima(TESTS, n)
         self.thresholds = np.tile(prior, (TESTS, 1))
@@ -153,11 +153,10 @@ class Detector:
         """Keep the extremes of the blocks that run, and the record of those that end."""
         largest = self._largest[:due]
         np.maximum(largest, shown, out=largest)
-        if learn is True:
-            self._owed += self.batch
-        else:
-            self._learnt += self.batch * np.asarray(learn)
-            self._broken[np.broadcast_to(np.logical_not(learn), self._broken.shape)] = self._count
+        if learn is not True:
+            broken = np.flatnonzero(~np.broadcast_to(learn, self._broken.shape))
+            self._end_runs(broken, self._count - 1)
+            self._broken[broken] = self._count
         if self._count % self._blocks[0] == 0:
             self._end_blocks(sum(self._count % block == 0 for block in self._blocks))
             most = float(self.learnt.max(initial=0))
@@ -182,10 +181,21 @@ class Detector:
 
     @property
     def learnt(self) -> NDArray[np.int64]:
-        """How many samples of a healthy machine each column has seen (n,); may be written to."""
-        self._learnt += self._owed
-        self._owed = 0
-        return self._learnt
+        """How many samples each column has learnt from (n,): of less than a block, none."""
+        return self._learnt + self._run(self._count)
+
+    @learnt.setter
+    def learnt(self, samples: NDArray[np.int64]) -> None:
+        self._learnt = samples.copy()
+        self._broken[:] = self._count
+
+    def _run(self, end: int) -> NDArray[np.int64]:
+        """Return how many samples were learnt from up to a batch since the last that was not."""
+        run = (end - np.maximum(self._broken, self._start)) * self.batch
+        return run * (run >= BLOCKS[0])
+
+    def _end_runs(self, columns: Bools | NDArray[np.int64], end: int) -> None:
+        self._learnt[columns] += self._run(end)[columns]
 
     @property
     def filled(self) -> NDArray[np.int64]:
@@ -194,6 +204,7 @@ class Detector:
 
     def _empty(self, columns: Bools | NDArray[np.int64]) -> None:
         """Start the windows of some columns anew."""
+        self._end_runs(columns, self._count - 1)
         self._start[columns] = self._youngest = self._count
 
     def refresh(self, columns: slice | NDArray[np.int64] = slice(None)) -> None:

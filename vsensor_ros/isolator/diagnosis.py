@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
+from operator import and_, or_
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from vsensor_ros.isolator.detector import Bools
 AT_ONCE = 5.0  # s within which all alarms together mean the model, and no sensor
 ANEW = 300.0  # s after a verdict of the model has ended, in which alarms are the model's, too,
 PASSES = 10.0  # unless they last longer than so many s
+JUST = 1.0  # s in which a step belongs to a conflict that began, and that nobody explains yet
 FORGOTTEN = 10.0  # s without an alarm, after which conflicts that blamed nobody are over
 
 
@@ -25,6 +28,7 @@ class Diagnosis:
 
     def __init__(self, supports: Iterable[int]) -> None:
         self.supports = list(supports)
+        self._apart = _apart(self.supports)
         self.conflicts: dict[int, float] = {}  # check: since when
         self.direct: dict[int, float] = {}  # sensor whose readings alone show its fault
         self.found: dict[int, float] = {}  # sensor: since when it is blamed
@@ -40,12 +44,17 @@ class Diagnosis:
         return bool(self.conflicts or self.direct)
 
     def update(self, time: float, alarms: Bools, running: Bools,
-               direct: Iterable[int] = ()) -> None:
-        """Take who alarms and who runs at all (checks,), and whose readings show a fault."""
+               direct: Iterable[int] = (),
+               stepped: Callable[[], Iterable[int]] = tuple) -> None:
+        """
+        Take who alarms and who runs at all (checks,), and whose readings show a fault.
+
+        stepped: returns whose readings jumped just now; asked when a check begins to alarm.
+        """
         new = False
         for check in np.flatnonzero(alarms):
             new |= self.conflicts.setdefault(int(check), time) == time
-        for sensor in direct:
+        for sensor in (*direct, *self._hastened(time, stepped)):
             new |= self.direct.setdefault(sensor, time) == time
         if alarms.any():
             self._last = time
@@ -56,6 +65,14 @@ class Diagnosis:
                 self._excused = time
             self.conflicts.clear()
             self._judge(time, running)
+
+    def _hastened(self, time: float, stepped: Callable[[], Iterable[int]]) -> list[int]:
+        """Return who stepped as a check that reads it began to alarm, and can be told apart."""
+        known = sum(self.found.keys() | self.direct.keys())
+        begun = [self.supports[check] for check, since in self.conflicts.items()
+                 if time - since <= JUST and not self.supports[check] & known]
+        who = [sensor for sensor in stepped() if sensor & self._apart] if begun else []
+        return who if len(who) == 1 and any(who[0] & support for support in begun) else []
 
     def _judge(self, time: float, running: Bools) -> None:
         masks = [*(self.supports[check] for check in self.conflicts), *self.direct]
@@ -110,3 +127,12 @@ class Diagnosis:
         """End a verdict that blames the model."""
         self.model, self._excused = False, time
         self.conflicts.clear()
+
+
+def _apart(supports: Sequence[int]) -> int:
+    """Return the sensors that the checks can tell from all others: none is in all theirs, too."""
+    apart = 0
+    for sensor in bits(reduce(or_, supports, 0)):
+        shared = reduce(and_, (support for support in supports if support & sensor))
+        apart |= sensor * (shared == sensor)
+    return apart

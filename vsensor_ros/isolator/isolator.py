@@ -163,7 +163,9 @@ class Isolator:
         alarms = watch.step(self._readings, self._estimates, healthy, healthy)
         direct = self._direct()
         if diagnosis.stands or direct or np.count_nonzero(alarms):
-            diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct])
+            diagnosis.update(now, alarms, watch.running(), [1 << j for j in direct],
+                             lambda: [1 << j for j in np.flatnonzero(
+                                 watch.channels.stepped()).tolist()])
             if excusable is not None and not diagnosis.stands \
                     and self.watch.detector.full(excusable):
                 self._admit(excusable)

@@ -38,8 +38,8 @@ def save(isolator: Isolator, path: str | Path, design: str) -> None:
         'format': FORMAT, 'version': VERSION, 'design': design, 'period': isolator.period,
         'residuals': [r.name for r in isolator.residuals], 'sensors': list(isolator.sensors),
         'learnt': detector.learnt.tolist(), 'maxima': _written(detector.maxima),
-        'motion': _written(channels.motion), 'swings': _known(isolator.watch.motion.swings),
-        'taught': _known(detector.taught),
+        'motion': _written(channels.motion), 'steps': _written(channels.steps),
+        'swings': _known(isolator.watch.motion.swings), 'taught': _known(detector.taught),
         **{key: getattr(channels, key).tolist() for key in (*COUNTS, *SIZES)}}
     try:
         write_whole(path, json.dumps(record, allow_nan=False) + '\n')
@@ -81,13 +81,14 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
         if list(reader.texts(key)) != names:
             raise reader.fail(key, 'are not those of the design')
     reader.only(('format', 'version', 'design', 'period', 'residuals', 'sensors', 'learnt',
-                 'maxima', 'motion', 'swings', 'taught', *COUNTS, *SIZES))
+                 'maxima', 'motion', 'steps', 'swings', 'taught', *COUNTS, *SIZES))
     r, c = len(isolator.residuals), len(isolator.sensors)
     detector, channels, motion = (isolator.watch.detector, isolator.watch.channels,
                                   isolator.watch.motion)
     learnt = _counts(reader, 'learnt', r)
     maxima = _maxima(reader.object('maxima'), TESTS, r)
     extremes = _maxima(reader.object('motion'), 3, c)
+    steps = _maxima(reader.object('steps'), 1, c) if 'steps' in record else BlockMaxima(1, c)
     counts = {key: _counts(reader, key, c) for key in COUNTS}
     sizes = {key: _sizes(reader, key, c) for key in SIZES}
     swings = _cells(reader, 'swings', motion.swings.shape)
@@ -101,8 +102,8 @@ def _read(isolator: Isolator, path: str | Path, design: str) -> Callable[[], Non
 
     def apply() -> None:
         channels.settle()  # of what came in before, nothing is counted later
-        detector.learnt[:], detector.maxima, channels.motion = learnt, maxima, extremes
-        detector.taught, motion.swings = taught, swings
+        detector.learnt, detector.maxima, channels.motion = learnt, maxima, extremes
+        detector.taught, motion.swings, channels.steps = taught, swings, steps
         motion.learnt = int(learnt.max(initial=0))
         for key, values in (*counts.items(), *sizes.items()):
             setattr(channels, key, values)
