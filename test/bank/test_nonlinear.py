@@ -134,15 +134,19 @@ def arriving(k, count, late):
 
 
 class Played:
-    """A run whose sensors are lost at a time [s], one other is late, and what was said since."""
+    """
+    A run whose sensors are lost at a time [s], one other is late, and what was said since.
+
+    move: makes the true states; seed: of the noise of readings.
+    """
 
     def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None, late=0,
-                 grid=None):
+                 grid=None, move=simulate, seed=1):
         t = np.arange(int(seconds * rate) + 1) / rate
         inputs = np.array([u(time) for time in t], dtype=float).reshape(len(t), -1)
-        x = simulate(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
+        x = move(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
         y = readings(plant, t, x, inputs, lambda time: np.atleast_1d(rho(time)))
-        read = y + plant.noise * np.random.default_rng(1).standard_normal(y.shape)
+        read = y + plant.noise * np.random.default_rng(seed).standard_normal(y.shape)
         own = plant.sensors.index(lost[0])
         behind = next(sensor for sensor in plant.sensors if sensor not in lost)
         self.bank, self.error, self.stated, self.why = Bank(made, grid or rate), [], [], []
