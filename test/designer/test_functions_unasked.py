@@ -9,6 +9,7 @@ from vsensor_ros import design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.designer.algebra.derivative import SMOOTH
+from vsensor_ros.designer.by_functions import is_worth_asking
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers import Design, NonlinearSensor, Refusal, VirtualSensor
@@ -98,6 +99,12 @@ def test_what_is_not_smooth_is_not_asked_about_where_there_is_a_linear_one(tmp_p
     text = TANK.replace('+ P/V', '+ P/V - 0.001*abs(T - 30)')
     found = design(made(tmp_path, text), ['thermometer'])['thermometer', 'thermometer']
     assert not isinstance(found, NonlinearSensor)
+
+
+def test_it_is_not_asked_where_no_healthy_sensor_is_left(tmp_path):
+    plant = made(tmp_path, MOTOR)
+    assert is_worth_asking(plant, ('tacho',), 'tacho', True)
+    assert not is_worth_asking(plant, ('ammeter', 'tacho'), 'tacho', True)
 
 
 def test_one_that_is_corrected_goes_before_a_linear_one_that_drifts(tmp_path):
