@@ -72,20 +72,20 @@ sensors: {a: {measures: ia, noise: 0.05}, b: {measures: ib, noise: 0.05},
 HEAT = Observer(
     ('z1',), ('V*(T - 15)',), ('P - 0.5*z1/sqrt(level)',), {}, (),
     (Holds('level - 0.25', Reason.of('refused', text='the tank is empty')),), ((2.5, 135.0),),
-    CERTIFIED, 0.289, ((1.0,),), False, ('V*(T - 15)',), False, 50)
+    CERTIFIED, 0.289, ((1.0,),), ('V*(T - 15)',), False, 50)
 ENERGY = Observer(
     ('z1',), ('5*i**2 + w**2',), ('-4*z1 - 180*ammeter**2 + 200*ammeter*U',), {}, (),
     (Holds('z1 - 5*ammeter**2 - 0.1', Reason.of('refused', text='the shaft stands')),),
-    ((1.0, 10125.0),), CERTIFIED, 4.0, ((1.0,),), False, ('5*i**2 + w**2',), False, 50)
+    ((1.0, 10125.0),), CERTIFIED, 4.0, ((1.0,),), ('5*i**2 + w**2',), False, 50)
 _Q = '(z1 + 5*sway - speed*cos(sway))'
 SWAY = Observer(
     ('z1',), ('q + v*cos(th) - 5*th',),
     (f'-9.81*sin(sway) - 0.2*{_Q} - speed*{_Q}*sin(sway) - 5*{_Q}',), {}, (), (), ((-5.0, 5.0),),
-    CERTIFIED, 4.6, ((1.0,),), False, ('q + v*cos(th) - 5*th',), False, 50)
+    CERTIFIED, 4.6, ((1.0,),), ('q + v*cos(th) - 5*th',), False, 50)
 FLUX = Observer(
     ('z1', 'z2'), ('ia + 10*cos(th)', 'ib + 10*sin(th)'),
     ('(ua - 0.5*a)/0.01', '(ub - 0.5*b)/0.01'), {}, ('(z1 - a)**2 + (z2 - b)**2 - 100',), (),
-    ((-15.0, 15.0), (-15.0, 15.0)), TEMPORARY, 0.0, (), False, ('flux',), False, 50)
+    ((-15.0, 15.0), (-15.0, 15.0)), TEMPORARY, 0.0, (), ('flux',), False, 50)
 
 
 def square(t, period):
@@ -134,15 +134,19 @@ def arriving(k, count, late):
 
 
 class Played:
-    """A run whose sensors are lost at a time [s], one other is late, and what was said since."""
+    """
+    A run whose sensors are lost at a time [s], one other is late, and what was said since.
+
+    move: makes the true states; seed: of the noise of readings.
+    """
 
     def __init__(self, plant, made, lost, rate, seconds, rho, u, start, at, seen=None, late=0,
-                 grid=None):
+                 grid=None, move=simulate, seed=1):
         t = np.arange(int(seconds * rate) + 1) / rate
         inputs = np.array([u(time) for time in t], dtype=float).reshape(len(t), -1)
-        x = simulate(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
+        x = move(plant, t, inputs, lambda time: np.atleast_1d(rho(time)), start)
         y = readings(plant, t, x, inputs, lambda time: np.atleast_1d(rho(time)))
-        read = y + plant.noise * np.random.default_rng(1).standard_normal(y.shape)
+        read = y + plant.noise * np.random.default_rng(seed).standard_normal(y.shape)
         own = plant.sensors.index(lost[0])
         behind = next(sensor for sensor in plant.sensors if sensor not in lost)
         self.bank, self.error, self.stated, self.why = Bank(made, grid or rate), [], [], []

@@ -7,6 +7,8 @@ import pytest
 
 from vsensor_ros import Design, design, load_plant
 from vsensor_ros.bank import Bank
+from vsensor_ros.functions.equations import Equations
+from vsensor_ros.functions.expression import parse
 from vsensor_ros.simulate.simulate import readings, simulate
 
 CART = """
@@ -125,7 +127,17 @@ def test_what_cannot_be_inverted_is_said_and_no_linear_map_uses_it(tmp_path, mea
     plant = loaded(tmp_path, text.replace(before, measures))
     [said] = [remark for remark in plant.remarks if remark.startswith('voltage is nonlinear')]
     assert needle in said and '; ' in said
-    assert 'bend_of_voltage' in design(plant)['voltage', 'voltage'].reason
+    assert 'bend_of_voltage' in design(plant, method='jordan')['voltage', 'voltage'].reason
+
+
+@pytest.mark.parametrize('measures', ['(soc - 0.5)**2', '1/(soc - 0.5)'])
+def test_what_cannot_be_inverted_is_had_from_a_healthy_sensor_at_once(tmp_path, measures):
+    before = '3.2 + 0.7*soc + 0.1*log(soc) - 0.05*current'
+    found = design(loaded(tmp_path, BATTERY.replace(before, measures)))['voltage', 'voltage']
+    assert found.z == () and 'bend_of_voltage' in found.why
+    said = Equations([parse(found.out)], ['gauge']).values(np.array([[20.0, 70.0]]))
+    true = Equations([parse(measures)], ['soc']).values(np.array([[0.2, 0.7]]))
+    assert np.allclose(said, true)
 
 
 LATE = """

@@ -9,6 +9,7 @@ from vsensor_ros import design, load_plant
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank.bank import Bank
 from vsensor_ros.designer.algebra.derivative import SMOOTH
+from vsensor_ros.designer.by_functions import is_worth_asking
 from vsensor_ros.functions.equations import Equations
 from vsensor_ros.functions.expression import parse
 from vsensor_ros.observers import Design, NonlinearSensor, Refusal, VirtualSensor
@@ -38,6 +39,8 @@ inputs: {P: {range: [0, 10], operating: 5}, inflow: {range: [0, 2], operating: 0
 dynamics: {V: inflow - 0.5*sqrt(V), T: inflow*(15 - T)/V + P/V}
 sensors: {level: {measures: V, noise: 0.001}, thermometer: {measures: T, noise: 0.1}}
 """
+# a level that is so exactly known that V*T is hardly noisier than what is linear
+EXACT = TANK.replace('1e-4}\n  T', '1e-7}\n  T').replace('noise: 0.001', 'noise: 1e-6')
 # the base slips, so that how fast it goes nobody knows; its gyro is a command
 BASE = """
 name: base
@@ -62,7 +65,7 @@ def made(tmp_path, text):
 
 @pytest.mark.parametrize('text, lost, phi, why', [
     (MOTOR, 'tacho', 'w**2 + 5*i**2', 'other virtual sensors there are none'),
-    (TANK, 'thermometer', 'V*T', 'nothing is proved all over the declared ranges')])
+    (EXACT, 'thermometer', 'V*T', 'nothing is proved all over the declared ranges; at the')])
 def test_it_is_asked_where_the_linear_search_finds_nothing_or_covers_less(
         tmp_path, text, lost, phi, why):
     plant = made(tmp_path, text)
@@ -74,10 +77,21 @@ def test_it_is_asked_where_the_linear_search_finds_nothing_or_covers_less(
     assert isinstance(linear, Refusal) or linear.certificate is not None
 
 
+def test_one_that_is_much_noisier_than_what_is_linear_is_said_only(tmp_path):
+    plant = made(tmp_path, TANK)
+    found, alone = (design(plant, ['thermometer'], method=method)['thermometer', 'thermometer']
+                    for method in (None, 'functions'))
+    assert isinstance(found, VirtualSensor) and alone.phi == ('V*T',) and alone.proved
+    assert alone.drift[-1] > 2.0 * found.noise.error
+    assert 'V*T, but is 53.3 times as noisy' in found.method
+    assert '--method functions hands it out' in found.method
+
+
 def test_it_is_not_asked_where_all_is_proved(tmp_path):
     found = design(made(tmp_path, TANK.replace('inflow: {range: [0, 2]', 'inflow: {range: [1, 2]')
                         .replace('operating: 0.5', 'operating: 1.5')), ['thermometer'])
-    assert isinstance(found['thermometer', 'thermometer'], VirtualSensor)
+    linear = found['thermometer', 'thermometer']
+    assert isinstance(linear, VirtualSensor) and 'V*T' not in linear.method
 
 
 def test_what_is_not_smooth_is_not_asked_about_where_there_is_a_linear_one(tmp_path):
@@ -85,6 +99,12 @@ def test_what_is_not_smooth_is_not_asked_about_where_there_is_a_linear_one(tmp_p
     text = TANK.replace('+ P/V', '+ P/V - 0.001*abs(T - 30)')
     found = design(made(tmp_path, text), ['thermometer'])['thermometer', 'thermometer']
     assert not isinstance(found, NonlinearSensor)
+
+
+def test_it_is_not_asked_where_no_healthy_sensor_is_left(tmp_path):
+    plant = made(tmp_path, MOTOR)
+    assert is_worth_asking(plant, ('tacho',), 'tacho', True)
+    assert not is_worth_asking(plant, ('ammeter', 'tacho'), 'tacho', True)
 
 
 def test_one_that_is_corrected_goes_before_a_linear_one_that_drifts(tmp_path):

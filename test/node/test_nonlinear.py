@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+import re
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
@@ -83,8 +84,8 @@ def test_the_heated_tank_is_warm_as_the_simulator_says(rig, plant, design_file):
         'virtual', 'exact', ('thermometer',), False)
     scene = Scene('/replacer', r.replacer.settings.design, {'thermometer': Policy()},
                   ('thermometer',), {'thermometer': ()}, {'thermometer': 1})
-    assert 'virtual (isolated), from level, P, good to 0.038 degC' in describe(
-        state, scene, set(plant.sensors)).message
+    assert re.search(r'virtual \(isolated\), from level, P, good to 0\.00\d+ degC', describe(
+        state, scene, set(plant.sensors)).message)
     facts = channel_facts(state, scene, 0.0)
     assert (facts['grade'], facts['method']) == ('exact', 'a function of the states: V*(T - 15)')
 
@@ -100,5 +101,7 @@ def test_the_heated_tank_is_warm_as_the_simulator_says(rig, plant, design_file):
     error = said - true
     # 0.0123 is the study's figure of a level as noisy, of one that shows the volume
     assert np.sqrt(np.mean(error**2)) < 2 * 0.0123 and (abs(error) < 3.0 * stated).all()
-    assert np.median(stated) < 0.05
+    # it says where the tank is: with a fuller one noise of the level matters less
+    assert 0.7 < np.sqrt(np.mean(stated**2) / np.mean(error**2)) < 1.5
+    assert stated.max() > 2.0 * stated.min()
     assert abs(np.diff(error)).max() < 0.1  # from the first on it moves as the tank does

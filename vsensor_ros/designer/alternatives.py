@@ -2,7 +2,8 @@
 What else there is beside the virtual sensor that is handed out, and what that would cover.
 
 Constant gains that are proved where the plant works go before gains that follow the readings, and
-these before a Kalman filter. But of what is proved the quieter one is taken.
+these before a Kalman filter. But of what is proved the quieter one is taken. A function of the
+states that is proved goes before a linear one of which nothing is, while it is not much noisier.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import replace
 from vsensor_ros.designer.order_noise import QUIET
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.designer.simulated_noise import simulated_noise
-from vsensor_ros.observers import Refusal, ScheduledSensor, VirtualSensor
+from vsensor_ros.observers import NonlinearSensor, Refusal, ScheduledSensor, VirtualSensor
 from vsensor_ros.plant import Plant
 from vsensor_ros.reason import Reason
 
@@ -45,6 +46,21 @@ def quietest(plant: Plant, entry: VirtualSensor, sought: Callable[[], Scheduled]
         return replace(over, why=say(Reason.of(
             'scheduled, quieter', order=entry.order, ours=theirs, theirs=ours)))
     return replace(entry, why=say(Reason.of('proved, no noisier', ours=ours, theirs=theirs)))
+
+
+def quiet_enough(function: NonlinearSensor, linear: VirtualSensor) -> NonlinearSensor | Reason:
+    """
+    Return a function instead of an unproved linear one, or why not: it is QUIET times as noisy.
+
+    Both by what is stated at the operating point: simulation may not stay in the ranges, and a
+    linear one that does not converge somewhere would be judged there.
+    """
+    ours = float(function.drift[-1])
+    theirs = float('nan') if linear.noise is None else linear.noise.error
+    if ours > QUIET * theirs:
+        return Reason.of('function, noisier', phi=function.phi, ours=ours, theirs=theirs)
+    return replace(function, why=say(Reason.of(
+        'linear, unproved', order=linear.order, ours=ours, theirs=theirs)))
 
 
 def beside_scheduled(found: VirtualSensor | Refusal, filtered: bool) -> str:

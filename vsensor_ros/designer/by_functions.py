@@ -63,9 +63,11 @@ def is_worth_asking(plant: Plant, fault_set: tuple[str, ...], channel: str,
     Tell whether to ask unasked, of a plant whose unknown inputs and sensors are linear.
 
     Where there is a linear virtual sensor, though nothing is proved of it, only of small plants of
-    which something can be: it would take longer than the whole design.
+    which something can be: it would take longer than the whole design. So it would where no
+    healthy sensor is left, and what commands alone tell is little.
     """
-    if channel not in fault_set or not plant.terms or not plant.equations:
+    if channel not in fault_set or not plant.terms or not plant.equations or \
+            len(fault_set) == len(plant.sensors):
         return False
     return refused or (plant.sample_time is None and len(plant.states) <= SMALL and all(
         part.function in SMOOTH for text in plant.equations for part in walk(parse(text))

@@ -15,7 +15,12 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, shown
 from vsensor_ros.designer import papers
-from vsensor_ros.designer.alternatives import beside_filter, beside_scheduled, quietest
+from vsensor_ros.designer.alternatives import (
+    beside_filter,
+    beside_scheduled,
+    quiet_enough,
+    quietest,
+)
 from vsensor_ros.designer.bounded import alternative, least_sensitive
 from vsensor_ros.designer.by_functions import by_functions, is_worth_asking
 from vsensor_ros.designer.calm import calmly
@@ -380,7 +385,7 @@ def _function(plant: Plant, key: Key,
     if found.grade != 'temporary' and function.grade == 'temporary':
         return None
     if found.grade != 'temporary':
-        return replace(function, why=say(Reason.of('linear, unproved', order=found.order)))
+        return quiet_enough(function, found)
     if function.grade == 'temporary' and not _good_for_longer(function, found):
         return None
     return replace(function, why=say(Reason.of('linear, for a time', order=found.order)))

@@ -64,7 +64,7 @@ def nonlinear_entry(plant: Plant, fault_set: tuple[str, ...], channel: str, obse
     reads = tuple(s for s in plant.sensors if s not in fault_set and s in used)
     problem = pose(plant, fault_set, channel)
     model = noise_model(problem)
-    temporary = observer.grade == TEMPORARY or observer.tracked_branch or observer.rate <= 0.0
+    temporary = observer.grade == TEMPORARY or observer.rate <= 0.0
     tracks = _tracks(plant, fault_set, channel, observer, out)
     if temporary and not tracks:
         return None

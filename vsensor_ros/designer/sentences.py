@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from decimal import Context, ROUND_CEILING
+import math
 
 from vsensor_ros.reason import add_sentences, Reason
 
@@ -261,8 +262,15 @@ SENTENCES: dict[str, Callable[..., str]] = {
         f'nonlinear functions of the states were not sought: {why}'),
     'linear, for a time': lambda order: (
         f'the linear one, of order {order}, serves for a time only'),
-    'linear, unproved': lambda order: (
-        f'of the linear one, of order {order}, nothing is proved all over the declared ranges'),
+    'linear, unproved': lambda order, ours, theirs: (
+        f'of the linear one, of order {order}, nothing is proved all over the declared ranges'
+        + ('' if math.isnan(theirs) else '; at the operating point its standard deviation is '
+           f'{theirs:.3g}, that of this one {ours:.3g}')),
+    'function, noisier': lambda phi, ours, theirs: (
+        'nothing is proved of it all over the declared ranges; a function of the states would '
+        f'be, {", ".join(phi)}, but is {ours / theirs:.3g} times as noisy: at the operating point '
+        f'its standard deviation is {ours:.3g}, that of this one {theirs:.3g}; --method functions '
+        'hands it out'),
     'no function': lambda why: why,
     'function not tracked': lambda: 'a nonlinear function of the states would serve for a time, '
     'but nothing tells where it starts',

@@ -14,7 +14,8 @@ def integrated(y, F, seconds=1.0, grid=H, lasts=0.0, at=0.0):
     """Return z' = F after so long from 0, and what it says it may be off; readings as lines."""
     entry = SimpleNamespace(
         z=('z',), F=(F,), out='z', validity=(), residuals=(), tracks=(), grade='exact', turn=0.0,
-        noise_of={'y': 0.0}, lasts={'y': lasts}, process_noise=np.zeros(1), sample_time=None)
+        noise_of={'y': 0.0}, lasts={'y': lasts}, driven=(), process_noise=np.zeros(1),
+        sample_time=None)
     motion = Motion(entry, ('y',), (), grid)
     z, between = motion.state(np.zeros(1), np.zeros((1, 1)))[None], max(lasts, grid)
 

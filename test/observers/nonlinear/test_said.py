@@ -16,7 +16,8 @@ def said(out, truth, P, noise, turn=0.0):
     z, sensors = tuple(f'z{i + 1}' for i in range(k)), tuple(f'y{i + 1}' for i in range(L))
     entry = SimpleNamespace(
         z=z, F=('0',) * k, out=out, validity=(), residuals=(), tracks=(), grade='exact', turn=turn,
-        noise_of=dict(zip(sensors, noise)), lasts={}, process_noise=np.zeros(k), sample_time=None)
+        noise_of=dict(zip(sensors, noise)), lasts={}, driven=(), process_noise=np.zeros(k),
+        sample_time=None)
     motion = Motion(entry, sensors, (), 0.1)
     rng = np.random.default_rng(3)
     x = truth[:k] + rng.multivariate_normal(np.zeros(k), P, DRAWS) if k else np.zeros((DRAWS, 0))

@@ -79,7 +79,6 @@ class Observer:
     # exp(-rate) a step; 0 or less where TEMPORARY
     rate: float
     metric: tuple[tuple[float, ...], ...]  # (k, k) in which the error shrinks; () without one
-    tracked_branch: bool               # whether the start chooses which of several values counts
     words: tuple[str, ...]             # of what is observed, a sentence part each
     only_coordinates: bool             # a change of coordinates a user could have made
     digits: int                        # to so many F and the decoupling are confirmed

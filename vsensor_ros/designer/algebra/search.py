@@ -200,7 +200,7 @@ def observer(candidate: Candidate, error: ErrorSystem, known: Stability,
         conditions(error, nodes),
         tuple(error.ranges[name] for name in candidate.names), known.grade, known.rate,
         () if known.grade == TEMPORARY else
-        tuple(tuple(map(float, row)) for row in known.metric), False,
+        tuple(tuple(map(float, row)) for row in known.metric),
         tuple(f.text for f in candidate.functions),
         bool(candidate.functions) and all(len(names(f.node)) == 1 for f in candidate.functions),
         digits.DIGITS, model.system.sample_time,
