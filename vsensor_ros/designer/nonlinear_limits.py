@@ -8,14 +8,14 @@ import math
 import numpy as np
 
 from vsensor_ros.designer.algebra.answer import Observer
+from vsensor_ros.designer.algebra.validity import beyond
 from vsensor_ros.designer.sentences import say
 from vsensor_ros.functions.equations import Equations
-from vsensor_ros.functions.expression import Apply, names, Number, parse, to_text
+from vsensor_ros.functions.expression import Apply, names, parse
 from vsensor_ros.observers import Condition
 from vsensor_ros.observers.kinds.nonlinear.motion import steep_names
 from vsensor_ros.plant import Plant
 from vsensor_ros.plant.plant import reading_node
-from vsensor_ros.reason import Reason
 
 POINTS = 200  # at which slopes are looked at
 CLEAR = 5.0  # standard deviations of a divisor: then it is not 0
@@ -58,20 +58,19 @@ def conditions(plant: Plant, observer: Observer, sampled: Sampled,
     """
     kept, integrated = [], {n for text in observer.F for n in steep_names(parse(text))}
     for c in observer.validity:
-        node, words = parse(c.positive), say(c.reason)
+        node = parse(c.positive)
         size = node.arguments[0] if isinstance(node, Apply) and node.function == '-' else node
         used = set(names(size))
         if not (isinstance(size, Apply) and size.function == 'abs'):
-            kept.append(Condition(c.positive, words))
+            kept.append(c)
         elif used & integrated:
             if used <= set(plant.sensors):
                 slopes = Equations([size.arguments[0]], plant.sensors).slopes(sampled.y)[1][0]
                 floor = float(f'{CLEAR * np.median(np.hypot.reduce(slopes * noise[:, None])):.2g}')
-                kept.append(Condition(to_text(Apply('-', (size, Number(floor)))), say(Reason.of(
-                    'functions singular', part=to_text(size.arguments[0]), floor=floor))))
+                kept.append(beyond(size, size.arguments[0], floor))
             else:
-                kept.append(Condition(c.positive, words))
-    return tuple(kept)
+                kept.append(c)
+    return tuple(Condition(c.positive, say(c.reason)) for c in kept)
 
 
 def useful(plant: Plant, y: np.ndarray, turn: float) -> float:

@@ -53,8 +53,13 @@ def _away(error: ErrorSystem, divisor: Node, known: np.ndarray,
     one_sided = bool((np.sign(values) == sign).all()) and size.min() > 0.01 * size.max()
     floor = float(f'{_HALF * size.min() if one_sided else _LEAST * size.max():.2g}')
     own = (divisor if sign > 0.0 else negative(divisor)) if one_sided else call('abs', divisor)
-    found[divisor] = Condition(to_text(minus(own, Number(floor))),
-                               Reason.of('functions singular', part=to_text(divisor), floor=floor))
+    found[divisor] = beyond(own, divisor, floor)
+
+
+def beyond(size: Node, part: Node, floor: float) -> Condition:
+    """Return that the size of a part of an expression must be above a floor."""
+    return Condition(to_text(minus(size, Number(floor))),
+                     Reason.of('functions singular', part=to_text(part), floor=floor))
 
 
 def _positive(error: ErrorSystem, inner: Node, known: np.ndarray,
