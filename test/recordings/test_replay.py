@@ -254,7 +254,8 @@ def test_requirements_are_read_and_met_or_not(judged):
 
 @pytest.mark.parametrize('text, says', [
     ('rmse < 1', 'of no channel'), ('c: rmse < 1', 'no channel that is judged'),
-    ('', 'asks nothing'), (' ; ', 'asks nothing'), ('a: rmse', 'no comparison'), ('a: error < 1', 'is not measured'),
+    ('', 'asks nothing'), (' ; ', 'asks nothing'), ('a: rmse', 'no comparison'),
+    ('a: error < 1', 'is not measured'),
     ('a: rmse < x', 'no number'), ('a: rmse < nan', 'no number'),
     ('a: rmse < __import__("os")', 'no number')])
 def test_a_wrong_requirement_is_one_line(text, says):

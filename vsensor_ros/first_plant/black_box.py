@@ -143,7 +143,7 @@ def _grid(run: Recording, commands: Sequence[str], sensors: Sequence[str], usual
     first, last = max(t.times[0] for t in tracks), min(t.times[-1] for t in tracks[len(commands):])
     times = first + usual * np.arange(int((last - first) / usual + 1e-6) + 1)
     stamps = run.origin + np.rint(times * 1e9).astype(np.int64)
-    u = np.array([run.tracks[n].held(stamps) for n in commands]).reshape(len(commands), len(times)).T
+    u = np.array([run.tracks[n].held(stamps) for n in commands]).reshape(-1, len(times)).T
     y = np.array([run.tracks[n].at(times) for n in sensors]).T
     summed = np.vstack([np.zeros(u.shape[1]), np.cumsum(u, axis=0)])
     found = []
