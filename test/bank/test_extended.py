@@ -116,9 +116,8 @@ def test_an_arm_with_other_numbers_than_the_plant_file(made):
 @pytest.mark.slow
 def test_arms_that_turn_over(made):
     plant = load_plant(CONFIG / 'plant.yaml')
-    runs = [played(plant, 1.2, seed) for seed in range(10)]
-    turned = [np.abs(truth[150:, 1]).max() > 3.0 for _, truth, _ in runs]
-    assert np.mean(turned) >= 0.8  # how one goes hangs on the last digits of the machine
+    runs = [played(plant, 1.6, seed) for seed in range(10)]
+    assert all(np.abs(truth[150:, 1]).max() > 3.0 for _, truth, _ in runs)
     errors, deviations = judged(made, runs)
     served = np.isfinite(errors)
     assert served.mean() > 0.5

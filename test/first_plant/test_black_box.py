@@ -123,6 +123,23 @@ def test_the_command_writes_it_and_says_how_good_it_is(tmp_path, capsys):
     assert load_plant(out).inputs == ('pump',)
     assert main(words) == 2
     assert 'is there already' in capsys.readouterr().err
+    before = (tmp_path / 'run.csv').read_text()
+    assert main([*words[:-1], words[0], '--force']) == 2
+    assert 'would be lost' in capsys.readouterr().err
+    assert (tmp_path / 'run.csv').read_text() == before
+    assert main(['--black-box', '2']) == 2
+    assert '--black-box: is of no recording' in capsys.readouterr().err
+
+
+def test_without_commands_all_channels_are_sensors():
+    box = black_box([recorded(2)], (), 2)
+    assert box.commands == () and set(box.sensors) == {'upper', 'lower', 'pump'}
+    assert 'inputs' not in box_text(box, 'tank', 'a tank')
+
+
+def test_steps_that_are_too_long_are_one_line():
+    with pytest.raises(BadInput, match='is too short for steps of 1000 s'):
+        black_box([recorded(3)], ['pump'], 2, step=1000.0)
 
 
 @pytest.mark.parametrize(('commands', 'order', 'line'), [

@@ -1,6 +1,7 @@
 """Delays that were put into the stamps of simulated machines are found again, with their sign."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from plants import recorded, torques, written
@@ -11,7 +12,10 @@ from vsensor_ros.bad_input import BadInput
 from vsensor_ros.bank import grid
 from vsensor_ros.command.align import main
 from vsensor_ros.fitting import align
+from vsensor_ros.fitting.align_search import Search
 from vsensor_ros.fitting.align_text import cost_text, STEPS
+from vsensor_ros.fitting.align_windows import Channels
+from vsensor_ros.fitting.model import Model
 from vsensor_ros.plant.free import load_free
 from vsensor_ros.recordings import load_dataset, Recording, Track
 
@@ -134,6 +138,11 @@ def test_what_cannot_be_aligned_is_one_line(tmp_path):
     few = Recording({n: Track(t.stamps[:200], t.values[:200]) for n, t in run.tracks.items()})
     with pytest.raises(BadInput, match='is too short'):
         align(of_axis(tmp_path), [few])
+    two = Recording({n: Track(t.stamps[:2], t.values[:2]) for n, t in run.tracks.items()})
+    with pytest.raises(BadInput, match='no sensor has three readings'):
+        align(of_axis(tmp_path), [two])
+    with pytest.raises(BadInput, match='--most: 0.001 s is less than between two readings'):
+        align(of_axis(tmp_path), [run], most=0.001)
     with pytest.raises(BadInput, match='this command of the plant is not in the recording'):
         align(of_axis(tmp_path), [Recording({'encoder': run.tracks['encoder']})])
 
@@ -175,3 +184,38 @@ def test_the_wheels_and_the_gyro_of_a_base(late):
     for name in ('x', 'y', 'yaw'):  # ten a second, and noisy
         assert found.delays[name] - against == pytest.approx(
             0.0, abs=3.0 * max(found.errors.values()))
+
+
+def test_a_reading_stands_at_a_node_with_how_much_later_that_is(tmp_path):
+    u = torques(6000, 0.005, np.random.default_rng(5), 2.0)
+    run = recorded(written(tmp_path, AXIS), u, 0.005, 0.0, np.random.default_rng(0))
+    tracks = {name: Track.of(t.times[1:][i::4], t.values[1:][i::4])
+              for i, (name, t) in enumerate(run.tracks.items())}  # 20 ms, apart from each other
+    channels = Channels.of(Model(of_axis(tmp_path)), [Recording(tracks)])
+    search = Search(channels, 0.2, ('encoder', 'tacho'), None)
+    nodes = channels.nodes(*search.where, np.zeros(3))
+    off = []
+    for i, name in enumerate(('encoder', 'tacho')):
+        times = nodes.starts + 0.02 * np.arange(len(nodes.readings))[:, None]
+        there = np.isfinite(nodes.readings[:, i])
+        of = times[there] - nodes.after[:, i][there]
+        assert nodes.readings[:, i][there] == pytest.approx(tracks[name].at(of), abs=1e-9)
+        off.append(np.abs(nodes.after[:, i][there]).max())
+    assert max(off) > 0.004  # some lie between nodes
+
+
+@pytest.mark.parametrize(('scatter', 'seen'), [(0.0, True), (3000.0, False)])
+def test_a_curvature_that_is_not_clear_tells_nothing(scatter, seen):
+    random, count = np.random.default_rng(2), 40
+    search = object.__new__(Search)
+    search.free, search.most, search.tell = np.arange(2), 1.0, lambda *_: None
+    search.channels = SimpleNamespace(step=0.01)
+    search._points = lambda points, *_: SimpleNamespace(at=points[0], slopes=None)
+
+    def solved(point):
+        """Return slopes of parabolas of which each window has its own, and what is assumed."""
+        own = 1e4 / count * point.at + scatter * random.standard_normal((count, 2))
+        return own, np.diag([1e4, 1e4])
+    search._solved = solved
+    errors = search._errors(np.zeros(2), None, search._points([np.zeros(2)]))
+    assert np.isfinite(errors).all() == seen

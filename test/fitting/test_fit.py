@@ -40,6 +40,31 @@ def test_held_out_parts_are_predicted_better_than_by_peers(axis):
     assert 5 * held.rms(held.plant)[0] < min(held.rms(held.arx)[0], held.rms(held.held)[0])
 
 
+@pytest.mark.parametrize(('rows', 'value', 'horizon', 'line'), [
+    (2, 0.1, None, '--horizon: .* shorter than three readings'),
+    (500, 0.1, 1e-9, '--horizon: .* shorter than three readings'),
+    (500, 0.0, None, 'no sensor of the plant moves in it')])
+def test_what_cannot_be_fitted_is_one_line(axis, rows, value, horizon, line):
+    path, run, _ = axis
+    tracks = {name: Track(t.stamps[:rows], np.where(value, t.values[:rows], 0.0))
+              for name, t in run.tracks.items()}
+    with pytest.raises(BadInput, match=line):
+        fit(load_free(path), [Recording(tracks)], horizon, tries=1)
+
+
+def test_a_recording_is_not_written_over_and_what_is_no_reading_is_said(tmp_path, capsys):
+    plant, table = written(tmp_path), tmp_path / 'run.csv'
+    text = 't,encoder,torque\n' + ''.join(f'{k},1e200,{k}\n' for k in range(9))
+    table.write_text(text)
+    for output, line in ((table, 'would be lost'), (tmp_path, 'cannot be written'),
+                         (tmp_path / 'none' / 'plant.yaml', 'cannot be written'),
+                         (plant, 'encoder: has values beyond 1e100')):
+        assert main([str(plant), str(table), '-o', str(output)]) == 2
+        said = capsys.readouterr().err
+        assert line in said and said.count('\n') == 1
+    assert table.read_text() == text
+
+
 def test_only_a_ratio_is_seen(tmp_path):
     text = AXIS.replace('parameters:\n', 'parameters:\n  gain: {value: 0.9, fit: [0.2, 5]}\n') \
         .replace('(torque -', '(gain*torque -').replace(' - dry*sign(speed)', '') \

@@ -254,7 +254,8 @@ def test_requirements_are_read_and_met_or_not(judged):
 
 @pytest.mark.parametrize('text, says', [
     ('rmse < 1', 'of no channel'), ('c: rmse < 1', 'no channel that is judged'),
-    ('a: rmse', 'no comparison'), ('a: error < 1', 'is not measured'),
+    ('', 'asks nothing'), (' ; ', 'asks nothing'), ('a: rmse', 'no comparison'),
+    ('a: error < 1', 'is not measured'),
     ('a: rmse < x', 'no number'), ('a: rmse < nan', 'no number'),
     ('a: rmse < __import__("os")', 'no number')])
 def test_a_wrong_requirement_is_one_line(text, says):
@@ -435,3 +436,22 @@ def test_who_finds_out_alone_is_judged_by_it(tmp_path):
     assert bias.found == 1.0 and 0.0 < bias.delay < 2.0 and bias.blamed == 0.0
     assert bias.alarms == 0.0 and trials.healthy_seconds == pytest.approx(110.0)
     assert freeze.found == 1.0 and freeze.delay > 0.0
+
+
+def test_a_table_without_windows_has_usual_ones_for_every_kind(files, capsys):
+    """Times of theirs are of numpy, and what is said is a float all the same."""
+    assert main([str(files / 'heater.json'), str(files / 'run.parquet'), '--rate', '25', '--lose',
+                 'a', '--faults', 'all', '--json', str(files / 'out.json')]) == 0
+    found = json.loads((files / 'out.json').read_text())['verdicts']
+    assert [verdict['kind'] for verdict in found] == list(KINDS)
+
+
+def test_what_is_too_short_or_would_be_lost_is_one_line(files, capsys):
+    short = files / 'short.csv'
+    short.write_text('time,a,b,power\n0,1,1,1\n')
+    heater = str(files / 'heater.json')
+    for words, line in (([str(short)], 'shorter than a step'),
+                        ([str(files / 'run.parquet'), '--json', heater], 'would be lost')):
+        assert main([heater, *words]) == 2
+        said = capsys.readouterr().err
+        assert line in said and said.count('\n') == 1

@@ -10,7 +10,7 @@ import sys
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.progress import shown_progress
-from vsensor_ros.command.run import run
+from vsensor_ros.command.run import check_output, run
 from vsensor_ros.fitting import align
 from vsensor_ros.fitting.align_file import into_dataset, into_plant
 from vsensor_ros.fitting.align_text import align_text, cost_text
@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _act(given: argparse.Namespace) -> int:
+    check_output(given.output, '-o', given.recordings)
     dataset = given.recordings[0]
     if given.into_dataset and (len(given.recordings) > 1 or dataset.suffix not in DATASET):
         raise BadInput('--into-dataset', '', 'needs one dataset file', 'name it alone')

@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 
 from vsensor_ros.command.progress import shown_progress
-from vsensor_ros.command.run import run
+from vsensor_ros.command.run import check_output, run
 from vsensor_ros.fitting import fit
 from vsensor_ros.fitting.fit_text import fit_text, tried_text
 from vsensor_ros.fitting.friction import chosen, tried
@@ -47,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _act(given: argparse.Namespace) -> int:
+    check_output(given.output, '-o', given.recordings)
     free = None if given.structure else load_free(given.plant)
     content = None if given.output is None else open_text(given.plant)
     runs = read_runs(given.recordings, given.first, given.last)

@@ -11,7 +11,7 @@ import sys
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.progress import shown_progress
-from vsensor_ros.command.run import find_ros, run
+from vsensor_ros.command.run import check_output, find_ros, run
 from vsensor_ros.recordings import Dataset, read_dataset, Windows, write_dataset
 from vsensor_ros.recordings.aligned_table import check_target, write_aligned
 from vsensor_ros.recordings.bag import is_bag
@@ -54,6 +54,9 @@ def _act(given: argparse.Namespace) -> int:
     if given.to is not None:
         check_target(given.to)
     dataset = _dataset(given)
+    read = [*dataset.recordings, *([given.wire] if given.wire is not None else [])]
+    check_output(given.to, '--to', [*given.paths, *read])
+    check_output(given.dataset, '--dataset', read)
     if any(map(is_bag, dataset.recordings)) and not find_ros('recording'):
         return 2
     if given.to is not None and len(dataset.recordings) != 1:

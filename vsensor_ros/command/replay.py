@@ -14,7 +14,7 @@ import numpy as np
 
 from vsensor_ros.bad_input import BadInput, reason
 from vsensor_ros.command.progress import Progress, shown_progress
-from vsensor_ros.command.run import find_ros, run
+from vsensor_ros.command.run import check_output, find_ros, run
 from vsensor_ros.designer.processes import Processes
 from vsensor_ros.engine import Setup
 from vsensor_ros.isolator import Settings as IsolatorSettings
@@ -76,9 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _act(given: argparse.Namespace) -> int:
     for option, path in (('--json', given.json), ('--report', given.report)):
-        if path is not None and not path.absolute().parent.is_dir():  # before the work
-            raise BadInput(path, option, 'cannot be written',
-                           'name a file in a folder that exists')
+        check_output(path, option, [p for p in (
+            given.design, given.dataset, given.params_file) if p is not None])
     if given.report is not None:
         need_libraries(given.report)
     design = Design.load(given.design)
@@ -116,6 +115,10 @@ def _act(given: argparse.Namespace) -> int:
 
 def _run(given: argparse.Namespace, setup: Setup, recordings: Sequence[Recording],
          cases: Sequence[Case], windows: Windows, progress: Progress | None) -> Trials:
+    if windows.length * setup.rate < 1.0:
+        raise BadInput(given.dataset, 'windows', f'{windows.length:.3g} s are shorter than a step '
+                       f'of the rate, {1.0 / setup.rate:g} s', 'give longer ones, or more of the '
+                       'recording')
     if max(r.seconds for r in recordings) / windows.every > MOST:
         raise BadInput(given.dataset, 'windows', f'one every {windows.every:g} s is more than '
                        f'{MOST} in a recording', 'give fewer')

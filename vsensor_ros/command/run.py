@@ -47,6 +47,16 @@ def run(command: str, act: Callable[[], int], stopped: int = INTERRUPTED,
         return stopped
 
 
+def check_output(path: Path | None, option: str, inputs: Sequence[str | Path] = ()) -> None:
+    """Raise BadInput, before the work, where a file cannot be written or is one that is read."""
+    if path is None:
+        return
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise BadInput(path, option, 'cannot be written', 'name a file in a folder that exists')
+    if path.exists() and any(os.path.exists(i) and path.samefile(i) for i in inputs):
+        raise BadInput(path, option, 'is what is read: it would be lost', 'name another file')
+
+
 def parameter_file(named: Path | None, ros_args: Sequence[str]) -> Path | None:
     """Return the parameter file of a command line: the one named, else the first for ROS."""
     return named or next((Path(value) for flag, value in pairwise(ros_args)

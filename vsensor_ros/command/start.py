@@ -11,6 +11,7 @@ import sys
 
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.command.progress import shown_progress
+from vsensor_ros.command.run import check_output
 from vsensor_ros.first_plant import (
     Arm,
     arm_plant,
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     try:
         folder = _folder()
-        if not options.what:
+        if not options.what and options.black_box is None:
             print(_listed(folder))
             return 0
         text = _text(folder, options) if options.black_box is None else _black_box(options)
@@ -120,6 +121,10 @@ def _text(folder: Path, options: argparse.Namespace) -> str:
 def _black_box(options: argparse.Namespace) -> str:
     """Return the plant file of recordings, and print how good it is."""
     paths = [Path(path) for path in options.what]
+    if not paths:
+        raise BadInput('--black-box', '', 'is of no recording', 'name one, or more')
+    check_output(options.output, '-o', paths)
+    checked_name(options.name or 'black_box')
     runs = read_runs(paths, options.first, options.last)
     with shown_progress() as progress:
         box = black_box(runs, options.commands, options.black_box or None, options.step,

@@ -62,6 +62,10 @@ def black_box(runs: Sequence[Recording], commands: Sequence[str], order: int | N
     names = (*commands, *sensors)
     usual = min(float(np.median(np.diff(run.tracks[n].times))) for run in runs for n in sensors)
     stride = max(1, round((step or _memory(runs, sensors) / MEMORY) / usual))
+    short = BadInput(runs[0].name or 'recording', '', 'is too short for steps of '
+                     f'{stride * usual:g} s', 'record for longer, or give a smaller --step')
+    if stride * usual * 3 * MEMORY > max(run.seconds for run in runs):
+        raise short
     grids = [_grid(run, commands, sensors, usual, stride) for run in runs]
     whole = np.concatenate([np.hstack(phase) for grid in grids for phase in grid])
     means, spreads = whole.mean(axis=0), whole.std(axis=0)
@@ -78,8 +82,7 @@ def black_box(runs: Sequence[Recording], commands: Sequence[str], order: int | N
     past = _past(first, len(names), stride)
     ahead = (1, MEMORY // 2, MEMORY)
     if min(len(y) for _, y in last) <= 2 * MEMORY:
-        raise BadInput(runs[0].name or 'recording', '', f'is too short: {len(whole)} steps of '
-                       f'{stride * usual:g} s', 'record for longer, or give a smaller --step')
+        raise short
     found = {}
     for n in ORDERS if order is None else (order,):
         if n <= past * len(sensors) and n <= past:
@@ -140,7 +143,7 @@ def _grid(run: Recording, commands: Sequence[str], sensors: Sequence[str], usual
     first, last = max(t.times[0] for t in tracks), min(t.times[-1] for t in tracks[len(commands):])
     times = first + usual * np.arange(int((last - first) / usual + 1e-6) + 1)
     stamps = run.origin + np.rint(times * 1e9).astype(np.int64)
-    u = np.array([run.tracks[n].held(stamps) for n in commands]).reshape(len(commands), -1).T
+    u = np.array([run.tracks[n].held(stamps) for n in commands]).reshape(-1, len(times)).T
     y = np.array([run.tracks[n].at(times) for n in sensors]).T
     summed = np.vstack([np.zeros(u.shape[1]), np.cumsum(u, axis=0)])
     found = []

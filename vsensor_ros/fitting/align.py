@@ -60,6 +60,9 @@ def align(given: FreePlant, runs: Sequence[Recording], most: float | None = None
     check_channels(runs, model, given.plant.name)
     channels = Channels.of(model, runs)
     most = max(1.0, 10.0 * channels.step) if most is None else most
+    if most < channels.step:
+        raise BadInput('--most', '', f'{most:g} s is less than between two readings',
+                       f'give {channels.step:g} or more')
     seen = [s for i, s in enumerate(model.sensors) if any(len(r[i][0]) for r in channels.sensors)]
     if reference is not None and reference not in seen:
         raise BadInput('--reference', '', f'{reference} is no sensor of the recording',

@@ -71,6 +71,9 @@ class Channels:
                 said.append((times, values if np.isnan(turn) else np.unwrap(values, period=turn)))
                 steps.append(float(np.median(np.diff(times))))
             found.append(said)
+        if not steps:
+            raise BadInput(runs[0].name or 'recording', '', 'is too short: no sensor has three '
+                           'readings', 'record for longer')
         return cls(model, runs, found, model.period or min(steps))
 
     def cut(self, most: float) -> tuple[np.ndarray, np.ndarray, int]:

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from vsensor_ros.bad_input import BadInput
 from vsensor_ros.recordings import Dataset, load_dataset, read_dataset, Recording, Track
 
 DATASET = ('.yaml', '.yml')
+LARGEST = 1e100  # of a reading: the square of what is larger may be none
 
 
 def read_runs(paths: Sequence[Path], first: float = 0.0, last: float = float('inf'),
@@ -38,6 +41,10 @@ def part(run: Recording, first: float, last: float) -> Recording:
     for name, track in run.tracks.items():
         inside = (track.times >= first) & (track.times < last)
         if inside.sum() > 1:
+            large = np.abs(track.values[inside])
+            if (large[np.isfinite(large)] > LARGEST).any():
+                raise BadInput(run.name or 'recording', name, 'has values beyond 1e100, which are '
+                               'no readings', 'leave them out, or write nan')
             tracks[name] = Track(track.stamps[inside], track.values[inside], track.origin)
     if not tracks:
         raise BadInput(run.name or 'recording', '', f'says nothing from {first:g} to {last:g} s',

@@ -98,7 +98,10 @@ def refined(found: Found, most: int = 20) -> Found:
     shooting, start, shot = found.shooting, found.start, found.shot
     for _ in range(WEIGHED):
         deviations = spread_of(shot.misfits, shooting.deviations)
-        shooting = shooting.weighed(deviations, noise_in(shot.misfits, deviations))
+        # what an unknown input does within a window is not in the simulation: starts that are held
+        # by the noise put it into the parameters, from where the likelihood is not found
+        noise = deviations if shooting.model.unknown else noise_in(shot.misfits, deviations)
+        shooting = shooting.weighed(deviations, noise)
         start, shot = shooting.solve(start, bounds_of(shooting.model), most)
     return Found(shooting, start, shot, found.costs)
 

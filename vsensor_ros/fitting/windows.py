@@ -90,10 +90,15 @@ def usual_horizon(runs: Sequence[Recording], model: Model) -> float:
             grid = np.linspace(first, last, SETTLED)
             values = track.at(grid)
             variance = values.var()
+            if not variance > 0.0:
+                continue
             lags = np.unique(np.geomspace(1, SETTLED // 8, 60).astype(int))
             changed = [np.mean((values[lag:] - values[:-lag])**2) >= variance for lag in lags]
             lag = lags[int(np.argmax(changed))] if any(changed) else SETTLED // 8
             found.append(lag * (last - first) / SETTLED)
+    if not found:
+        raise BadInput(runs[0].name or 'recording', '', 'no sensor of the plant moves in it',
+                       'record the machine in motion')
     return min(3.0 * float(np.median(found)), longest)
 
 
@@ -115,6 +120,9 @@ def cut(runs: Sequence[Recording], model: Model, horizon: float, stride: float |
         step = horizon / count
     every = max(int(np.ceil(count / nodes)), int(round(between / step)), 1)
     count -= count % every
+    if count < 2 * every:
+        raise BadInput('--horizon', '', f'{horizon:.3g} s is shorter than three readings, '
+                       f'{between:.3g} s apart', 'give a longer one, or a longer recording')
     inputs, readings, owner, starts = [], [], [], []
     for i, run in enumerate(runs):
         first = max(_ends(run.tracks[n])[0] for n in (*model.inputs, *model.sensors)

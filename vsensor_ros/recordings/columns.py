@@ -115,6 +115,8 @@ def _stamps(times: np.ndarray, unit: str, path: Path, key: str) -> np.ndarray:
 
 def _time_column(path: Path, columns: Collection[str], clock: Clock) -> str:
     """Return the column with the times, '' where the rows are at even distances."""
+    if not columns:
+        raise BadInput(path, '', 'has no column of numbers', 'write numbers, nan or nothing')
     if clock.period:
         return ''
     if clock.column:

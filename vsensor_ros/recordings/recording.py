@@ -68,7 +68,7 @@ class Recording:
     @property
     def seconds(self) -> float:
         """Until when something was said, from the origin on."""
-        return max((track.times[-1] for track in self.tracks.values() if len(track.stamps)),
+        return max((float(track.times[-1]) for track in self.tracks.values() if len(track.stamps)),
                    default=0.0)
 
     def events(self) -> Iterator[tuple[int, dict[str, float]]]:

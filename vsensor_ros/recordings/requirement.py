@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
 
 def read_requirements(text: str, channels: Sequence[str]) -> list[Requirement]:
     """Take a text apart; raises BadInput."""
-    found = []
+    found: list[Requirement] = []
     for part in filter(str.strip, text.split(';')):
         channel, colon, comparisons = (piece.strip() for piece in part.partition(':'))
         if not colon or not comparisons:
@@ -57,6 +57,9 @@ def read_requirements(text: str, channels: Sequence[str]) -> list[Requirement]:
             raise BadInput('--require', channel, 'is no channel that is judged',
                            f'choose from {", ".join(channels)}, or * for all')
         found += [_requirement(channel, comparison) for comparison in comparisons.split(',')]
+    if not found:
+        raise BadInput('--require', '', 'asks nothing',
+                       'write it like T1: rmse < 0.8, coverage > 0.9')
     return found
 
 

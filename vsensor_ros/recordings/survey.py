@@ -182,7 +182,7 @@ class ValueTally:
         if self.low == self.high:
             found.append(Reason.of('constant'))
         else:
-            if self.same > HELD * self.count:
+            if self.same > HELD * self.count and math.isfinite(rate):
                 found.append(Reason.of('mostly held', rate=rate * (1.0 - self.same / self.count)))
             found += _coarse(first) + _wraps(first)
         return replace(channel, low=self.low, high=self.high, digest=crc32(first.tobytes()),
