@@ -36,6 +36,15 @@ def test_gaussian_noise_passes_its_threshold_about_as_seldom_as_wanted(wanted):
     assert np.quantile(found, 0.1) > 0.9 * exact
 
 
+@pytest.mark.parametrize('blocks', [FEWEST, 28, 60])
+def test_a_short_record_is_passed_as_seldom_as_wanted_on_average(blocks):
+    wanted, n = 1e3, 20_000
+    maxima = np.full((ROOM, n), -np.inf)
+    maxima[:blocks] = np.sqrt(np.random.default_rng(6).exponential(size=(blocks, n)))
+    level = thresholds(maxima, np.full(n, blocks), np.array([wanted]))**2
+    assert np.exp(-level).mean() == pytest.approx(1.0 / wanted, rel=0.25)
+
+
 def test_too_few_blocks_give_no_threshold():
     store = record(np.ones(FEWEST - 1))
     assert np.isinf(thresholds(store.maxima[:, 0], store.count[0], np.array([100.0]))[0])

@@ -121,3 +121,15 @@ def test_what_says_nothing_or_too_little_for_a_block_is_not_learnt_from():
     assert running.learnt.tolist() == [2 * BLOCKS[0], 0, 0, BLOCKS[0]]
     feed(running, np.zeros((8, 4)), learn=np.array([True, True, True, False]))
     assert running.learnt.tolist() == [2 * BLOCKS[0] + 8, 0, 0, BLOCKS[0]]
+
+
+def test_what_is_never_near_zero_does_not_alarm_while_its_windows_fill():
+    random = np.random.default_rng(5)
+    running = Detector(PERIOD, 4, 1e-7, np.full(1, 50.0), np.full(1, 1e6))
+    feed(running, 5.0 + 0.1 * random.standard_normal((round(ENOUGH / PERIOD) + 4096, 1)))
+    running.refresh()
+    assert running.thresholds[len(WINDOWS), 0] < -4.0  # below it is an alarm
+    running.restart(np.array([0]))
+    alarms = [running.step(5.0 + 0.1 * random.standard_normal((4, 1)), False).any()
+              for _ in range(SPAN // 4 + 100)]
+    assert not any(alarms)

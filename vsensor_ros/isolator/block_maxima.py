@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 ROOM = 128  # blocks of a cell; half of them are left after a merger
 FEWEST = 16  # blocks that a tail can be fitted to
+FEW = ROOM // 8  # excesses; a store that was full once never has less
 
 Floats = NDArray[np.float64]
 
@@ -37,12 +38,16 @@ def thresholds(maxima: Floats, count: NDArray[np.int64], blocks_per_alarm: Float
 
     maxima (ROOM, ..) and 0 or more. The tail of their squares is taken for exponential above the
     upper quartile, u + beta ln(k/m n), as that of Gaussian noise is. beta is made larger by the
-    standard error of the mean of k excesses.
+    standard error of the mean of k excesses. Where k is small that is not enough, so far from
+    what was seen: there the level is what the next block passes as seldom as wanted over all
+    records of k excesses that might have been, E exp(-level/beta) = (1 + level/(k beta))^-k.
     """
     squares = np.where(np.isfinite(maxima), np.maximum(maxima, 0.0)**2, -np.inf)
     start, excess, share = tail(squares, count)
-    beta = excess * (1.0 + 1.0 / np.sqrt(np.maximum(share * count, 1.0)))
-    level = start + beta * np.log(np.maximum(share * blocks_per_alarm, 1.0))
+    k = np.maximum(share * count, 1.0)
+    far = np.log(np.maximum(share * blocks_per_alarm, 1.0))
+    farther = np.where(k < FEW, k * np.expm1(far / k), far * (1.0 + 1.0 / np.sqrt(k)))
+    level = start + excess * farther
     return np.where(count >= FEWEST, np.sqrt(level), np.inf)
 
 

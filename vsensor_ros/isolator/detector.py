@@ -116,7 +116,7 @@ class Detector:
         np.multiply(total, 1.0 / self.batch, out=self._before)
         if (self._count - self._youngest) * self.batch < self._enough[due - 1]:
             for test, full in enumerate((self._full[:due], 5 * self._full[:due])):
-                np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = 0.0
+                np.moveaxis(shown[:, :, test], 1, 0)[:, self.filled < full] = -np.inf
         self._learn(shown, due, learn)
         limits, passed = self._limits[:due], self._passed[:due]
         np.greater(shown, limits, out=passed)
