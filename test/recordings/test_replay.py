@@ -12,7 +12,7 @@ from scipy.signal import cont2discrete
 
 from vsensor_ros import design, load_plant
 from vsensor_ros.bad_input import BadInput
-from vsensor_ros.command.replay import main
+from vsensor_ros.command.replay import _paced, _slow, main
 from vsensor_ros.isolator import Settings
 from vsensor_ros.recordings import (
     Case,
@@ -397,15 +397,29 @@ def test_an_infinite_reading_leaves_peers_and_faults_finite(made, files, capsys)
     assert verdict['rmse'] < 0.05 and verdict['arx'] is not None
 
 
-def test_a_sensor_that_is_slower_than_its_max_age_is_named(files, capsys):
+def test_slow_sensors_are_waited_for_where_no_parameter_file_says_for_how_long(files, capsys):
     recording, _ = machine()
     b = recording.tracks['b']
     write_aligned(files / 'run.parquet', replace(recording, tracks={
         **recording.tracks, 'b': Track(b.stamps[::20], b.values[::20], b.origin)}))
-    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--rate', '25']) == 0
-    error = capsys.readouterr().err
-    assert 'b speaks every 0.8 s' in error and 'sensors.b.max_age: 2.4' in error
-    assert error.count('\n') == 1
+    assert main([str(files / 'heater.json'), str(files / 'set.yaml'), '--lose', 'a', '--rate',
+                 '25', '--json', str(files / 'o')]) == 0
+    assert capsys.readouterr().err == \
+        'replay: slow sensors are waited for: a node needs sensors.b.max_age: 2.4\n'
+    verdict, = json.loads((files / 'o').read_text())['verdicts']
+    assert verdict['served'] > 0.9 and verdict['rmse'] < 0.1
+
+
+def test_a_sensor_that_is_slower_than_its_max_age_is_named(made):
+    setup = settings(made, 25.0)
+    line, = _slow(setup, {'a': 0.04, 'b': 0.8})
+    assert 'b speaks every 0.8 s' in line and 'sensors.b.max_age should be 2.4' in line
+
+
+def test_the_rate_follows_the_sensors_where_nobody_says_it(made):
+    assert _paced(settings(made, 100.0), {'a': 60.0, 'b': 120.0}, None).rate == 10.0 / 60.0
+    assert _paced(settings(made, 25.0), {'a': 60.0, 'b': 120.0}, 25.0).rate == 25.0
+    assert _paced(settings(made, 100.0), {'a': 0.01, 'b': 120.0}, None).rate == 100.0
 
 
 def test_windows_without_number_are_one_line(files, capsys):

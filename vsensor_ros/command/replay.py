@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 import math
@@ -31,6 +31,8 @@ from vsensor_ros.whole_file import write_whole
 
 USUAL = 30  # windows of a recording, where nothing is said of them
 MOST = 10_000  # windows of a recording
+PATIENCE = 3.0  # usual intervals of a sensor, before it is silent where nobody says when
+STEPS = 10.0  # of the virtual sensors, at most, from a reading to the next where nobody says
 SIZE = 3.0  # of a fault, in standard deviations of what its sensor says
 
 
@@ -42,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         'whose columns are called as the channels')
     parser.add_argument('--params-file', type=Path, help="the replacer's parameter file: the "
                         "engine's settings; by default the one that wires the dataset")
-    parser.add_argument('--rate', type=float, help='of the virtual sensors [Hz]; 100 if no '
-                        'parameter file says another')
+    parser.add_argument('--rate', type=float, help='of the virtual sensors [Hz]; if no '
+                        'parameter file says another 100, or less where sensors are slow')
     parser.add_argument('--windows', metavar='EVERY,LENGTH[,START]', help='a loss of LENGTH every '
                         f'EVERY [s]; by default as the dataset says, else {USUAL} in each '
                         'recording')
@@ -92,7 +94,10 @@ def _act(given: argparse.Namespace) -> int:
     with shown_progress() as progress:
         recordings = dataset.load(progress)
         _check_channels(recordings, design, given.dataset)
-        for line in _slow(setup, recordings):
+        usual = _usual_intervals(setup.design, recordings)
+        if parameters is None:
+            setup = _paced(setup, usual, given.rate)
+        for line in _slow(setup, usual):
             print(f'replay: {line}', file=sys.stderr)
         windows = dataset.windows or _usual(recordings)
         trials = _run(given, setup, recordings,
@@ -206,16 +211,38 @@ def _check_channels(recordings: Sequence[Recording], design: Design, where: Path
                            f' and commands; it has {", ".join(recording.tracks)}')
 
 
-def _slow(setup: Setup, recordings: Sequence[Recording]) -> list[str]:
+def _usual_intervals(design: Design, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return s between readings of each sensor that speaks more than once, half of the time."""
+    between = {name: np.concatenate([np.diff(r.tracks[name].stamps) for r in recordings]) * 1e-9
+               for name in design.sensors}
+    return {name: float(np.median(there)) for name, there in between.items() if len(there)}
+
+
+def _paced(setup: Setup, usual: Mapping[str, float], rate: float | None) -> Setup:
+    """Return settings for sensors as slow as these: a node's own are for quick ones."""
+    slow = {name: PATIENCE * s for name, s in usual.items()
+            if PATIENCE * s > setup.max_age[name]}
+    fastest = min((s for s in usual.values() if s > 0.0), default=0.0)
+    if rate is None and fastest and STEPS / fastest < setup.rate:
+        setup = replace(setup, rate=STEPS / fastest)
+        print(f'replay: at {setup.rate:.3g} Hz, as the sensors are slow: give --rate for another',
+              file=sys.stderr)
+    if slow:
+        print('replay: slow sensors are waited for: a node needs '
+              + ', '.join(f'sensors.{name}.max_age: {s:.3g}' for name, s in slow.items()),
+              file=sys.stderr)
+    return replace(setup, max_age={**setup.max_age, **slow})
+
+
+def _slow(setup: Setup, usual: Mapping[str, float]) -> list[str]:
     """Say which sensors are taken for silent, because they speak less often than is allowed."""
     said = []
-    for name in setup.design.sensors:
-        between = np.concatenate([np.diff(r.tracks[name].stamps) for r in recordings]) * 1e-9
+    for name, s in usual.items():
         allowed = max(setup.max_age[name], 3.0 / setup.rate)
-        if len(between) and (usual := float(np.median(between))) > allowed:
-            said.append(f'{name} speaks every {usual:.3g} s, and is taken for silent after '
-                        f'{allowed:.3g} s: give --params-file with sensors.{name}.max_age: '
-                        f'{3.0 * usual:.3g}')
+        if s > allowed:
+            said.append(f'{name} speaks every {s:.3g} s, and is taken for silent after '
+                        f'{allowed:.3g} s: its sensors.{name}.max_age should be '
+                        f'{PATIENCE * s:.3g}')
     return said
 
 

@@ -37,6 +37,9 @@ def lines_of(j: Judgement) -> list[str]:
     if j.best_peer:
         said.append('simple peers  ' + ', '.join(
             f'{name} {value:.3g}' for name in PEERS if not math.isnan(value := getattr(j, name))))
+    if not j.served and j.best_peer:
+        said.append(f'NOTHING WENT OUT: {NAMES[j.best_peer]} comes to '
+                    f'{float(getattr(j, j.best_peer)):.3g}')
     if j.beaten:
         best = float(getattr(j, j.best_peer))
         digits = 3 if f'{best:.3g}' != f'{j.rmse:.3g}' else 6  # it is to be seen which is less
