@@ -217,6 +217,7 @@ def test_the_command_writes_the_file_back_with_its_comments(tmp_path, axis):
     plant = load_plant(out)
     assert plant.parameters['inertia'] == pytest.approx(0.8, rel=0.02)
     assert plant.spreads['inertia'] > 0.0 and plant.noise[0] > 0.0
+    assert plant.sensor_rate[0] == 50.0
 
 
 def test_a_channel_that_is_missing_is_one_line(tmp_path, axis, capsys):

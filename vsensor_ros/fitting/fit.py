@@ -37,7 +37,8 @@ class Fit:
     What was found.
 
     values, spreads (P,): of the parameters; spreads are standard errors, or what leaving a part
-    out moved a parameter by, where that is more. next_error (l,): rms of the next reading less its
+    out moved a parameter by, where that is more. rates (l,): usual readings a second. next_error
+    (l,): rms of the next reading less its
     prediction. held_out: predictions of parts by what was fitted to the others. said: sentences on
     what to mind.
     """
@@ -50,6 +51,7 @@ class Fit:
     spreads: np.ndarray
     known: Known
     noise: Noise
+    rates: np.ndarray
     next_error: np.ndarray
     held_out: Predicted
     offsets: tuple[dict[str, float], ...]
@@ -88,7 +90,14 @@ def fit(given: FreePlant, runs: Sequence[Recording], horizon: float | None = Non
         next_error = np.sqrt(np.nanmean(residuals[1:]**2, axis=(0, 2)))
     of_readings = replace(noise, sensors=noise.sensors / averaging(runs, model, long))
     return Fit(model, windows.horizon, len(windows.run), len(moved), theta, spreads, certain,
-               of_readings, next_error, held, tuple(offsets), found.costs, said)
+               of_readings, _rates(runs, model), next_error, held, tuple(offsets), found.costs, said)
+
+
+def _rates(runs: Sequence[Recording], model: Model) -> np.ndarray:
+    """Return how many readings of each sensor (l,) usually come in a second."""
+    between = [np.concatenate([np.diff(run.tracks[s].stamps) for run in runs])
+               for s in model.sensors]
+    return np.array([1e9 / np.median(there) for there in between])
 
 
 def _with_noise(model: Model, runs: Sequence[Recording], found: Found, horizon: float,

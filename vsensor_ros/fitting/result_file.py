@@ -15,9 +15,10 @@ from vsensor_ros.whole_file import write_whole
 
 BEGIN, END = 'fitted by the command fit:', '(end of what fit wrote)'
 DIGITS = 6
+USUAL = 99.0  # Hz; without a rate one reading in 10 ms is assumed
 
 
-def fitted_text(result: Fit, plant: str | Path, comment: Sequence[str],
+def fitted_text(result: Fit, path: str | Path, comment: Sequence[str],
                 content: Any = None) -> str:
     """
     Return the plant file with the values of a fit in it, and a comment at its head.
@@ -25,15 +26,20 @@ def fitted_text(result: Fit, plant: str | Path, comment: Sequence[str],
     content: what is written in place of what stands in the file, as `open_text` gives it. Raises
     BadInput, one line.
     """
-    content = open_text(plant) if content is None else content
+    content = open_text(path) if content is None else content
     free = result.model.given.free
     for i, parameter in enumerate(free):
         numbers = {'value': rounded(result.values[i])}
         if np.isfinite(result.spreads[i]) and result.spreads[i] > 0.0:
             numbers['spread'] = rounded(result.spreads[i], 3)
         put(content, 'parameters', parameter.name, numbers, 'value')
-    for name, noise in zip(result.model.sensors, result.noise.sensors):
-        put(content, 'sensors', name, {'noise': rounded(noise, 3)}, 'measures')
+    plant = result.model.given.plant
+    for name, noise, rate, said in zip(result.model.sensors, result.noise.sensors, result.rates,
+                                       plant.sensor_rate):
+        numbers = {'noise': rounded(noise, 3)}
+        if np.isnan(said) and plant.sample_time is None and rate < USUAL:
+            numbers['rate'] = rounded(rate, 3)
+        put(content, 'sensors', name, numbers, 'measures')
     for name, noise, told in zip(result.model.given.states, result.noise.driven,
                                  result.model.told()):
         if told:
