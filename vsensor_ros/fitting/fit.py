@@ -90,7 +90,8 @@ def fit(given: FreePlant, runs: Sequence[Recording], horizon: float | None = Non
         next_error = np.sqrt(np.nanmean(residuals[1:]**2, axis=(0, 2)))
     of_readings = replace(noise, sensors=noise.sensors / averaging(runs, model, long))
     return Fit(model, windows.horizon, len(windows.run), len(moved), theta, spreads, certain,
-               of_readings, _rates(runs, model), next_error, held, tuple(offsets), found.costs, said)
+               of_readings, _rates(runs, model), next_error, held, tuple(offsets), found.costs,
+               said)
 
 
 def _rates(runs: Sequence[Recording], model: Model) -> np.ndarray:
