@@ -157,6 +157,7 @@ def test_a_story_in_which_nobody_isolates(short_servo):
     folder = short_servo.parent / 'config' / 'servo'
     content = yaml.safe_load((CONFIG / 'servo' / 'demo_alone.yaml').read_text())
     content['faults'] = [{'kind': 'freeze', 'start': 12.5}]
+    content['bar'] = {'rmse': 0.01, 'of': 'range'}  # of a run so short 0.005 is its very noise
     content['simulation'] |= {'duration': 18.0, 'inputs': {'voltage': '8*sin(2*t + 1)'}}
     (folder / 'demo.yaml').write_text(yaml.safe_dump(content))
     assert main(['--output', str(short_servo)]) == 0
