@@ -383,6 +383,14 @@ def test_a_peer_that_wins_by_little_is_seen_to(judged):
     assert any('0.0180001 against 0.0180049' in line for line in lines_of(j))
 
 
+def test_where_nothing_went_out_the_best_peer_is_named(judged):
+    j = replace(judged[1][0], served=0.0, rmse=math.nan, hold=1.0, regression=0.25, arx=0.5)
+    assert any('NOTHING WENT OUT: a static regression' in line and line.endswith('0.25')
+               for line in lines_of(j))
+    assert not any('WENT OUT' in line or 'WINS' in line
+                   for line in lines_of(replace(j, served=1.0)))
+
+
 @pytest.mark.filterwarnings('error::RuntimeWarning')
 def test_an_infinite_reading_leaves_peers_and_faults_finite(made, files, capsys):
     recording, _ = machine()
