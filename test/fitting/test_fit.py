@@ -104,6 +104,16 @@ def test_starts_do_not_bend_to_what_the_model_gets_wrong_later(tmp_path):
     assert sizes[0] < 0.5 * sizes[1] and (sizes[1:] == found.shooting.deviations[0]).all()
 
 
+def test_starts_are_free_beside_an_unknown_input(tmp_path, axis):
+    _, run, _ = axis
+    text = AXIS.replace('dynamics:', 'disturbances:\n  push: {unit: N m}\ndynamics:').replace(
+        '- dry*sign(speed))', '- dry*sign(speed) + push)')
+    model = Model(load_free(written(tmp_path, text)))
+    found = search(model, cut([run], model, 1.0), np.array([0.8, 0.5, 0.2]), 1)
+    sizes = found.shooting.sizes()
+    assert model.unknown and (sizes == found.shooting.deviations).all()
+
+
 def test_a_state_that_adds_up_another_has_no_noise_of_its_own(tmp_path, axis):
     def driven(angle, speed=''):
         text = AXIS.replace('angle: {unit: rad}', f'angle: {{unit: rad{angle}}}').replace(
